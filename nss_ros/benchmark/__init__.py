@@ -1,0 +1,1 @@
+"""Scoring: MCAP logs and challenge files to metrics and tables."""

@@ -1,0 +1,240 @@
+"""All settings, typed, with their defaults, limits and meaning.
+
+This is the single definition: configuration files, `--set` options and ROS parameters are all
+read into these models, so a name, a unit and a limit stand in one place. A ROS parameter has
+the dotted name of the field inside its node's section, for example `icp.max_distance` on the
+registration node is `registration.icp.max_distance` in a file.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from nss_ros.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class Section(BaseModel):
+    """A group of settings: unknown names and wrong types are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+T = TypeVar("T", bound=Section)
+
+
+class PlayerConfig(Section):
+    """How bags are replayed."""
+
+    bags: list[str] = Field([], description="Bag directories, played one after the other")
+    rate: float = Field(
+        1.0, ge=0, description="Speed against recorded time; 0: as fast as possible"
+    )
+    start_offset: float = Field(
+        0.0, ge=0, description="Seconds of bag time to skip (latched data is still published)"
+    )
+    loop: bool = Field(False, description="Start again at the end")
+    start_paused: bool = Field(False, description="Wait for the resume service before playing")
+    publish_clock: bool = Field(True, description="Publish bag time on /clock")
+    max_pending_pairs: int = Field(
+        64, ge=0, description="Hold back when this many pairs await an answer; 0: never"
+    )
+    wait_for_subscribers: float = Field(
+        10.0, ge=0, description="Longest wait for a first subscriber of fragments, seconds"
+    )
+
+
+class FpfhConfig(Section):
+    """FPFH features (Rusu et al. 2009) and feature matching."""
+
+    voxel_size: Positive = Field(
+        0.1, description="Voxel size of the points that are described, metres"
+    )
+    normal_radius: Positive = Field(0.25, description="Neighbourhood of normals, metres")
+    feature_radius: Positive = Field(0.6, description="Neighbourhood of the descriptor, metres")
+    inlier_distance: Positive = Field(
+        0.15, description="Correspondences closer than this agree, metres"
+    )
+    ransac_iterations: int = Field(100_000, gt=0, description="Most RANSAC hypotheses per pair")
+    ransac_confidence: Fraction = Field(
+        0.999, description="RANSAC stops at this probability of success"
+    )
+    fgr_iterations: int = Field(64, gt=0, description="Iterations of fast global registration")
+
+
+class IcpConfig(Section):
+    """Point-to-plane refinement."""
+
+    max_distance: Positive = Field(
+        0.15, description="Longest correspondence of the last level, metres"
+    )
+    iterations: int = Field(40, gt=0, description="Most iterations per level")
+
+
+class RegistrationConfig(Section):
+    """How pairs are registered."""
+
+    method: str = Field(
+        "fpfh_ransac", description="Registered name of the method; see 'nss methods'"
+    )
+    seed: int = Field(0, ge=0, description="Mixed with the hash of the pair into each pair's seed")
+    voxel_size: Positive = Field(
+        0.05, description="Fragments are voxelised to this size on arrival, metres"
+    )
+    min_points: int = Field(100, ge=3, description="Fewest voxelised points that a fragment needs")
+    min_inlier_ratio: Fraction = Field(0.05, description="Least inlier ratio of an estimate")
+    max_tilt: Positive = Field(3.0, description="Most tilt between two levelled fragments, degrees")
+    overlap_distance: Positive = Field(
+        0.2, description="Distance at which points count as overlapping (tau), metres"
+    )
+    fpfh: FpfhConfig = FpfhConfig()
+    icp: IcpConfig = IcpConfig()
+
+
+class RegistrationNodeConfig(RegistrationConfig):
+    """Registration as a node: what is registered, by how many."""
+
+    workers: int = Field(0, ge=0, le=256, description="Worker processes; 0: one per processor core")
+    shard_index: int = Field(
+        0, ge=0, description="This node's place among the nodes that share the pairs"
+    )
+    shard_count: int = Field(
+        1, ge=1, description="Number of registration nodes that share the pairs"
+    )
+    memory_limit: int = Field(
+        1024,
+        gt=0,
+        description="MiB of fragments and features kept in memory by each process; the rest waits on disk",
+    )
+
+
+class MultiwayConfig(Section):
+    """How relative transforms become poses (Choi et al. 2015)."""
+
+    synchronizer: str = Field(
+        "choi", description="Registered name of the multi-way method; see 'nss methods'"
+    )
+    start: Literal["triangles", "confidence"] = Field(
+        "triangles",
+        description="Spanning tree of the initial poses: by triangle support, or by confidence as in the paper's set-up",
+    )
+    max_distance: Positive = Field(
+        0.2, description="Correspondence distance that scales the line process, metres"
+    )
+    prune_threshold: Fraction = Field(
+        0.25, description="Edges whose line process falls below this are rejected"
+    )
+    preference: Positive = Field(1.0, description="Preference for keeping edges; larger keeps more")
+    min_confidence: Fraction = Field(
+        0.0, description="Relative transforms below this confidence are rejected at once"
+    )
+    max_tilt: Positive = Field(
+        3.0, description="Levelled edges tilted by more than this are rejected at once, degrees"
+    )
+    triangle_translation: Positive = Field(
+        0.4, description="A triangle of edges supports them if it closes within this, metres"
+    )
+    triangle_rotation: Positive = Field(6.0, description="... and within this, degrees")
+
+
+class PoseGraphConfig(MultiwayConfig):
+    """The pose-graph node: map, frames and rates."""
+
+    map_frame: str = Field(
+        "map",
+        min_length=1,
+        description="Name of the map frame; component n > 0 gets <map_frame>_<n>",
+    )
+    map_voxel_size: Positive = Field(0.1, description="Voxel size of the published maps, metres")
+    update_period: Positive = Field(2.0, description="Least time between optimisations, seconds")
+    settle_time: Positive = Field(
+        1.0, description="Quiet time after which the graph counts as settled, seconds"
+    )
+
+
+class RecorderConfig(Section):
+    """What is logged, and how."""
+
+    output: str = Field("", description="Directory of the log to write; must not exist")
+    flush_period: Positive = Field(
+        0.5, description="Longest time that data waits before it is on disk, seconds"
+    )
+    record_fragments: bool = Field(
+        True,
+        description="Log point clouds too, so that the log alone can be scored with point metrics",
+    )
+    record_maps: bool = Field(True, description="Log the maps and markers too")
+
+
+class NssConfig(Section):
+    """Everything: one section per node."""
+
+    player: PlayerConfig = PlayerConfig()
+    registration: RegistrationNodeConfig = RegistrationNodeConfig()
+    pose_graph: PoseGraphConfig = PoseGraphConfig()
+    recorder: RecorderConfig = RecorderConfig()
+
+
+def load_config(path: Path | None = None, overrides: list[str] | None = None) -> NssConfig:
+    """Settings from a YAML file and `section.name=value` overrides, defaults for the rest.
+
+    Raises:
+        ConfigError: the file cannot be read, or a name or value is not valid.
+    """
+    data = _read_yaml(path) if path else {}
+    for override in overrides or []:
+        _apply_override(data, override)
+    return validated(NssConfig, data, str(path) if path else "--set")
+
+
+def write_config(config: Section, path: Path) -> None:
+    """Write all settings as YAML, to be read by `load_config`."""
+    path.write_text(yaml.safe_dump(config.model_dump(), sort_keys=False))
+
+
+def validated(model: type[T], data: Any, origin: str) -> T:
+    """The data as a model; its first problem becomes one sentence.
+
+    Raises:
+        ConfigError: naming the setting, the problem and where it was set.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(str(part) for part in first["loc"]) or "the configuration"
+        raise ConfigError(
+            f"Setting '{name}' in {origin} is not valid: {first['msg']} (got {first['input']!r})."
+        ) from error
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        data = yaml.safe_load(path.read_text())
+    except OSError as error:
+        raise ConfigError(f"Cannot read configuration {path}: {error.strerror}.") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"Configuration {path} is not valid YAML: {error}.") from error
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ConfigError(f"Configuration {path} must hold sections with settings.")
+    return data
+
+
+def _apply_override(data: dict[str, Any], override: str) -> None:
+    name, separator, text = override.partition("=")
+    if not separator:
+        raise ConfigError(f"'--set {override}' needs the form section.name=value.")
+    *sections, leaf = name.strip().split(".")
+    for section in sections:
+        data = data.setdefault(section, {})
+        if not isinstance(data, dict):
+            raise ConfigError(f"'--set {override}': '{section}' is not a section.")
+    data[leaf] = yaml.safe_load(text)

@@ -1,0 +1,1 @@
+"""Overlap, pairs and the file formats of the NSS dataset and challenge."""

@@ -1,0 +1,114 @@
+"""Fragments, their ids, and pairs of them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from nss_ros.errors import InputError
+
+Points = NDArray[np.float32]
+
+_ID_PATTERN = re.compile(r"Bldg(?P<area>[A-Za-z0-9.-]+)_Stage(?P<stage>\d+)_Spot(?P<spot>\d+)")
+
+
+@dataclass(frozen=True, order=True, slots=True)
+class FragmentId:
+    """Identity of a fragment, written `Bldg<area>_Stage<stage>_Spot<spot>` as in the NSS release.
+
+    Ordered by area, stage and spot: the canonical order of every graph and table.
+    """
+
+    area: str
+    stage: int
+    spot: int
+
+    @classmethod
+    def parse(cls, text: str) -> FragmentId:
+        """The id written as `text`, with or without a `.ply` ending.
+
+        Raises:
+            InputError: the text is not a fragment id.
+        """
+        match = _ID_PATTERN.fullmatch(text.removesuffix(".ply"))
+        if match is None:
+            raise InputError(
+                f"'{text}' is not a fragment id: expected Bldg<area>_Stage<stage>_Spot<spot>, "
+                "for example Bldg1_Stage2_Spot14."
+            )
+        return cls(match["area"], int(match["stage"]), int(match["spot"]))
+
+    def __str__(self) -> str:
+        return f"Bldg{self.area}_Stage{self.stage}_Spot{self.spot}"
+
+
+@dataclass(frozen=True, order=True, slots=True)
+class FragmentPair:
+    """A request to find `T_target_source` of two fragments."""
+
+    source: FragmentId
+    target: FragmentId
+
+    @property
+    def same_stage(self) -> bool:
+        """Whether both fragments are of one area and one stage."""
+        return self.source.area == self.target.area and self.source.stage == self.target.stage
+
+    def __str__(self) -> str:
+        return f"{self.source} -> {self.target}"
+
+
+@dataclass(frozen=True, slots=True)
+class Fragment:
+    """The partial point cloud of one tripod spot.
+
+    Attributes:
+        id: identity.
+        points: (n, 3) float32, metres, sensor frame; finite.
+        gravity_aligned: the sensor was levelled, z points up within about a degree.
+    """
+
+    id: FragmentId
+    points: Points
+    gravity_aligned: bool = False
+
+
+def clean_points(points: ArrayLike) -> Points:
+    """The finite points of an array, (n, 3) float32, contiguous.
+
+    Raises:
+        InputError: the array is not of shape (n, 3) or not of numbers.
+    """
+    try:
+        array = np.asarray(points, dtype=np.float32)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"A point cloud must be an array of numbers: {error}.") from error
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"A point cloud must be an array of shape (n, 3), not {array.shape}.")
+    return np.ascontiguousarray(array[np.isfinite(array).all(axis=1)])
+
+
+def voxelize(points: NDArray[np.floating], voxel_size: float) -> Points:
+    """The mean point of every occupied voxel, (m, 3) float32, in a reproducible order.
+
+    Args:
+        points: (n, 3), metres.
+        voxel_size: edge of the cubic voxels, metres; voxels lie on multiples of it.
+    """
+    if voxel_size <= 0:
+        raise InputError(f"A voxel size must be positive, not {voxel_size} m.")
+    if len(points) == 0:
+        return np.zeros((0, 3), dtype=np.float32)
+    cells = np.floor(points / voxel_size).astype(np.int64)
+    cells -= cells.min(axis=0)
+    extent = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+    order = np.argsort(keys, kind="stable")
+    sorted_keys = keys[order]
+    starts = np.flatnonzero(np.diff(sorted_keys, prepend=sorted_keys[0] - 1))
+    counts = np.diff(starts, append=len(order))
+    sums = np.add.reduceat(np.asarray(points, dtype=np.float64)[order], starts, axis=0)
+    return np.asarray(sums / counts[:, None], dtype=np.float32)

@@ -1,0 +1,1 @@
+"""Multi-way registration: relative transforms to poses."""

@@ -1,0 +1,144 @@
+"""Pose graphs: what a multi-way method takes and gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+
+from nss_ros.fragment import FragmentId, FragmentPair
+from nss_ros.geometry import Matrix, Transform
+
+
+class EdgeKind(IntEnum):
+    """What an edge links; the values of nss_msgs/PoseGraphEdge KIND_*."""
+
+    SAME_STAGE = 0
+    DIFFERENT_STAGE = 1
+    MANUAL = 2
+
+
+class EdgeStatus(IntEnum):
+    """What became of an edge; the values of nss_msgs/PoseGraphEdge STATUS_*."""
+
+    ACCEPTED = 0
+    REJECTED = 1
+    FAILED = 2
+
+
+class NodeStatus(IntEnum):
+    """What became of a fragment; the values of nss_msgs/FragmentPose STATUS_*."""
+
+    UNPLACED = 0
+    PLACED = 1
+    OUTLIER = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """A relative transform as input of a multi-way method.
+
+    Attributes:
+        pair: source and target.
+        T_target_source: (4, 4).
+        information: (6, 6) inverse covariance, order x y z rx ry rz (m, rad), target frame.
+        confidence: 0..1, how likely it is to be right.
+        inliers: points that support it.
+        level: both fragments are gravity aligned, so a right transform does not tilt.
+        manual: given by a person; never rejected.
+    """
+
+    pair: FragmentPair
+    T_target_source: Transform
+    information: Matrix = field(default_factory=lambda: np.eye(6))
+    confidence: float = 1.0
+    inliers: int = 0
+    level: bool = False
+    manual: bool = False
+
+    @property
+    def kind(self) -> EdgeKind:
+        """Same stage, different stage or manual."""
+        if self.manual:
+            return EdgeKind.MANUAL
+        return EdgeKind.SAME_STAGE if self.pair.same_stage else EdgeKind.DIFFERENT_STAGE
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A fragment in the map.
+
+    Attributes:
+        id: the fragment.
+        T_map_fragment: (4, 4) pose in the map frame of its component; the identity, meaning
+            nothing, unless `status` is PLACED.
+        status: placed or not.
+        component: connected component, 0 is the largest.
+        covariance: (6, 6) of the pose relative to the component's anchor; zero when not computed.
+    """
+
+    id: FragmentId
+    T_map_fragment: Transform = field(default_factory=lambda: np.eye(4))
+    status: NodeStatus = NodeStatus.UNPLACED
+    component: int = 0
+    covariance: Matrix = field(default_factory=lambda: np.zeros((6, 6)))
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A relative transform in the map.
+
+    Attributes:
+        pair: source and target.
+        T_target_source: (4, 4) as measured (ground truth: as given).
+        kind: same stage, different stage or manual.
+        status: accepted, rejected or failed.
+        reason: for people, why it was rejected or failed.
+        residual_translation: metres between measured and optimised; NaN when not placed.
+        residual_rotation: radians between measured and optimised; NaN when not placed.
+        weight: weight in the final optimisation, 0..1.
+        overlap_ratio: NaN when unknown.
+        temporal_change: NaN when unknown.
+    """
+
+    pair: FragmentPair
+    T_target_source: Transform
+    kind: EdgeKind
+    status: EdgeStatus = EdgeStatus.ACCEPTED
+    reason: str = ""
+    residual_translation: float = float("nan")
+    residual_rotation: float = float("nan")
+    weight: float = 1.0
+    overlap_ratio: float = float("nan")
+    temporal_change: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class PoseGraph:
+    """Fragments with poses and the relative transforms between them.
+
+    Attributes:
+        nodes: one per fragment, in canonical order (ground truth: in the dataset's order).
+        edges: one per measurement.
+        name: map name, or the graph's name in the dataset.
+        synchronizer: registered name of the method that made it.
+    """
+
+    nodes: tuple[Node, ...] = ()
+    edges: tuple[Edge, ...] = ()
+    name: str = ""
+    synchronizer: str = ""
+
+    def poses(self) -> dict[FragmentId, Node]:
+        """The placed nodes by fragment id."""
+        return {node.id: node for node in self.nodes if node.status is NodeStatus.PLACED}
+
+    def rms_residual(self) -> float:
+        """Root mean square of the accepted edges' translation residuals, metres; NaN without."""
+        residuals = [
+            edge.residual_translation
+            for edge in self.edges
+            if edge.status is EdgeStatus.ACCEPTED and np.isfinite(edge.residual_translation)
+        ]
+        return float(np.sqrt(np.mean(np.square(residuals)))) if residuals else float("nan")

@@ -1,0 +1,56 @@
+"""What a multi-way method is, and how one is found by name.
+
+A synchronizer is found through the Python entry-point group `nss_ros.synchronizers`; the entry
+point is called with a `MultiwayConfig` and returns a `Synchronizer`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import entry_points
+from typing import Protocol
+
+from nss_ros.config import MultiwayConfig
+from nss_ros.errors import MethodError
+from nss_ros.fragment import FragmentId
+from nss_ros.multiway.pose_graph import Measurement, PoseGraph
+
+ENTRY_POINT_GROUP = "nss_ros.synchronizers"
+
+
+class Synchronizer(Protocol):
+    """A multi-way registration method."""
+
+    name: str
+
+    def synchronize(
+        self, fragments: Sequence[FragmentId], measurements: Sequence[Measurement]
+    ) -> PoseGraph:
+        """Poses of all fragments from the relative transforms between them.
+
+        The result does not depend on the order of the arguments. Every fragment becomes a node
+        and every measurement an edge, both in canonical order; fragments that no accepted edge
+        links to another are UNPLACED; each connected component has a map frame of its own.
+        """
+        ...
+
+
+def synchronizer_names() -> list[str]:
+    """Names of all installed synchronizers, sorted."""
+    return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
+
+
+def load_synchronizer(config: MultiwayConfig) -> Synchronizer:
+    """The synchronizer that a configuration names.
+
+    Raises:
+        MethodError: no such synchronizer is installed.
+    """
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        if entry.name == config.synchronizer:
+            synchronizer: Synchronizer = entry.load()(config)
+            return synchronizer
+    raise MethodError(
+        f"There is no synchronizer '{config.synchronizer}': choose one of "
+        f"{', '.join(synchronizer_names())}."
+    )

@@ -1,0 +1,1 @@
+"""Pairwise registration: fragments to relative transforms."""

@@ -1,0 +1,1 @@
+"""Synthetic construction sites and the scanner that records them."""

@@ -1,0 +1,55 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = "nss_ros"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    description="One map of a building that changes: multi-stage point cloud registration.",
+    author="nss_ros maintainers",
+    author_email="maintainers@nss-ros.dev",
+    maintainer="nss_ros maintainers",
+    maintainer_email="maintainers@nss-ros.dev",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    packages=find_packages(include=["nss_ros", "nss_ros.*"]),
+    package_data={"nss_ros": ["py.typed", "interfaces/*.msg"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+        (f"share/{package_name}/launch", glob("launch/*.launch.py")),
+        (f"share/{package_name}/config", glob("config/*")),
+    ],
+    install_requires=[
+        "setuptools",
+        "mcap",
+        "numpy",
+        "pydantic>=2",
+        "pyyaml",
+        "rich",
+        "rosbags",
+        "scikit-learn",
+        "scipy",
+        "typer",
+        "zstandard",
+    ],
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "nss = nss_ros.cli.main:main",
+            "fragment_player = nss_ros.nodes.fragment_player:main",
+            "registration = nss_ros.nodes.registration:main",
+            "pose_graph = nss_ros.nodes.pose_graph:main",
+            "recorder = nss_ros.nodes.recorder:main",
+        ],
+        "nss_ros.registration_methods": [
+            "fpfh_ransac = nss_ros.registration.fpfh:FpfhRansac",
+            "fpfh_fgr = nss_ros.registration.fpfh:FpfhFgr",
+        ],
+        "nss_ros.synchronizers": [
+            "choi = nss_ros.multiway.choi:Choi",
+        ],
+    },
+)
