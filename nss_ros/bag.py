@@ -91,13 +91,13 @@ def write_bag(
         BagError: the folder exists or cannot be written, an id occurs twice, or a pair names a
             fragment that is not there.
     """
+    writer = BagWriter(path)
     try:
-        with BagWriter(path) as writer:
+        with writer:
             writer.add_metadata(metadata or {})
             _write_content(writer, fragments, pairs, ground_truth, round(period * 1e9))
     except BaseException:
-        if path.is_dir() and not (path / "metadata.yaml").exists():
-            shutil.rmtree(path)
+        shutil.rmtree(path)  # our own half-written folder: BagWriter refuses an existing one
         raise
 
 

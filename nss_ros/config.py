@@ -42,6 +42,10 @@ class PlayerConfig(Section):
     loop: bool = Field(False, description="Start again at the end")
     start_paused: bool = Field(False, description="Wait for the resume service before playing")
     publish_clock: bool = Field(True, description="Publish bag time on /clock")
+    pair_across_bags: bool = Field(
+        True,
+        description="With several bags: also ask for every pair of one area between different bags",
+    )
     max_pending_pairs: int = Field(
         64, ge=0, description="Hold back when this many pairs await an answer; 0: never"
     )
@@ -101,6 +105,10 @@ class RegistrationNodeConfig(RegistrationConfig):
     """Registration as a node: what is registered, by how many."""
 
     workers: int = Field(0, ge=0, le=256, description="Worker processes; 0: one per processor core")
+    fragment_timeout: Positive = Field(
+        15.0,
+        description="A pair is answered 'unknown fragment' when no fragment has come for this long, seconds",
+    )
     shard_index: int = Field(
         0, ge=0, description="This node's place among the nodes that share the pairs"
     )
@@ -162,6 +170,9 @@ class RecorderConfig(Section):
     """What is logged, and how."""
 
     output: str = Field("", description="Directory of the log to write; must not exist")
+    metadata_file: str = Field(
+        "", description="JSON object of strings to store in the log as run metadata"
+    )
     flush_period: Positive = Field(
         0.5, description="Longest time that data waits before it is on disk, seconds"
     )

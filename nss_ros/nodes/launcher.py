@@ -1,0 +1,129 @@
+"""Running the graph as processes without ROS tools: start, watch, stop."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nss_ros.errors import RunError
+
+_STOP_TIMEOUT = 20.0
+
+
+@dataclass(slots=True)
+class NodeProcess:
+    """One node as a process.
+
+    Attributes:
+        name: node name, for messages.
+        process: the process.
+        log: file with its output.
+    """
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def last_words(self) -> str:
+        """The last line that it printed."""
+        lines = self.log.read_text(errors="replace").strip().splitlines()
+        return lines[-1].removeprefix("error: ") if lines else "it printed nothing"
+
+
+class Launcher:
+    """Starts nodes as processes and notices when one dies.
+
+    Args:
+        namespace: of all nodes.
+        directory: for parameter files and output.
+    """
+
+    def __init__(self, namespace: str, directory: Path) -> None:
+        self._namespace = namespace
+        self._directory = directory
+        self._nodes: list[NodeProcess] = []
+
+    def start(self, executable: str, parameters: Mapping[str, Any], name: str = "") -> None:
+        """Start `nss_ros.nodes.<executable>`, under another node name if given."""
+        name = name or executable
+        file = self._directory / f"{name}.yaml"
+        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}))
+        log = self._directory / f"{name}.log"
+        command = [sys.executable, "-m", f"nss_ros.nodes.{executable}", "--ros-args"]
+        command += ["--params-file", str(file), "-r", f"__node:={name}"]
+        if self._namespace.strip("/"):
+            command += ["-r", f"__ns:=/{self._namespace.strip('/')}"]
+        with log.open("wb") as output:
+            # A session of its own: Ctrl-C reaches us alone, and we stop the nodes in order.
+            process = subprocess.Popen(
+                command,
+                stdout=output,
+                stderr=output,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+                env={**os.environ, "PYTHONUNBUFFERED": "1"},
+            )
+        self._nodes.append(NodeProcess(name, process, log))
+
+    def check(self) -> None:
+        """Look after the nodes.
+
+        Raises:
+            RunError: one has ended; the message names it and quotes its last words.
+        """
+        for node in self._nodes:
+            status = node.process.poll()
+            if status is None:
+                continue
+            how = (
+                f"was killed by {signal.Signals(-status).name}"
+                if status < 0
+                else (f"ended with status {status}")
+            )
+            raise RunError(f"Node {node.name} {how}: {node.last_words()} (all of it: {node.log})")
+
+    def stop(self) -> list[str]:
+        """Interrupt the nodes in order of their start reversed, the first (recorder) last.
+
+        Returns:
+            Names of the nodes that had to be killed or ended with an error.
+        """
+        unclean = []
+        for node in reversed(self._nodes[1:]):
+            _interrupt(node)
+        for node in [*reversed(self._nodes[1:]), *self._nodes[:1]]:
+            _interrupt(node)
+            if not _ended(node):
+                _kill(node)
+                unclean.append(node.name)
+            elif node.process.returncode != 0:
+                unclean.append(node.name)
+        return unclean
+
+
+def _interrupt(node: NodeProcess) -> None:
+    if node.process.poll() is None:
+        node.process.send_signal(signal.SIGINT)
+
+
+def _ended(node: NodeProcess) -> bool:
+    deadline = time.monotonic() + _STOP_TIMEOUT
+    while time.monotonic() < deadline:
+        if node.process.poll() is not None:
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def _kill(node: NodeProcess) -> None:
+    os.killpg(node.process.pid, signal.SIGKILL)
+    node.process.wait()

@@ -1,0 +1,70 @@
+"""The pose graph as RViz markers: fragments by stage, accepted and rejected edges."""
+
+from __future__ import annotations
+
+from geometry_msgs.msg import Point
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from nss_ros.multiway.pose_graph import EdgeStatus, Node, NodeStatus, PoseGraph
+
+# Colour-blind safe (Okabe and Ito), one per stage in turn.
+_STAGE_COLORS = (
+    (0.00, 0.45, 0.70),
+    (0.90, 0.62, 0.00),
+    (0.00, 0.62, 0.45),
+    (0.80, 0.47, 0.65),
+    (0.34, 0.71, 0.91),
+    (0.84, 0.37, 0.00),
+)
+_ACCEPTED = ColorRGBA(r=0.2, g=0.7, b=0.2, a=0.8)
+_REJECTED = ColorRGBA(r=0.8, g=0.1, b=0.1, a=0.4)
+_NODE_SIZE = 0.25
+_LINE_WIDTH = 0.03
+
+
+def graph_markers(graph: PoseGraph, frame_id: str) -> MarkerArray:
+    """Markers of the largest component in the map frame, metres."""
+    placed = {
+        node.id: node
+        for node in graph.nodes
+        if node.status is NodeStatus.PLACED and node.component == 0
+    }
+    clear = Marker(action=Marker.DELETEALL)
+    clear.header.frame_id = frame_id
+    stages = sorted({id_.stage for id_ in placed})
+    markers = [clear]
+    for stage in stages:
+        nodes = [node for id_, node in placed.items() if id_.stage == stage]
+        marker = _marker(frame_id, f"stage_{stage}", Marker.SPHERE_LIST, _NODE_SIZE)
+        red, green, blue = _STAGE_COLORS[stage % len(_STAGE_COLORS)]
+        marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+        marker.points = [_position(node) for node in nodes]
+        markers.append(marker)
+    for name, status, color in (
+        ("accepted_edges", EdgeStatus.ACCEPTED, _ACCEPTED),
+        ("rejected_edges", EdgeStatus.REJECTED, _REJECTED),
+    ):
+        marker = _marker(frame_id, name, Marker.LINE_LIST, _LINE_WIDTH)
+        marker.color = color
+        marker.points = [
+            _position(placed[id_])
+            for edge in graph.edges
+            if edge.status is status and edge.pair.source in placed and edge.pair.target in placed
+            for id_ in (edge.pair.source, edge.pair.target)
+        ]
+        markers.append(marker)
+    return MarkerArray(markers=markers)
+
+
+def _marker(frame_id: str, namespace: str, kind: int, size: float) -> Marker:
+    marker = Marker(ns=namespace, type=kind, action=Marker.ADD)
+    marker.header.frame_id = frame_id
+    marker.pose.orientation.w = 1.0
+    marker.scale.x = marker.scale.y = marker.scale.z = size
+    return marker
+
+
+def _position(node: Node) -> Point:
+    x, y, z = (float(value) for value in node.T_map_fragment[:3, 3])
+    return Point(x=x, y=y, z=z)

@@ -1,0 +1,136 @@
+"""Watching a running graph: how far it is, and whether it is done."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from nss_msgs.msg import FragmentPose, PlaybackStatus
+from nss_msgs.msg import PoseGraph as PoseGraphMessage
+from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
+from nss_ros import topics
+from nss_ros.nodes.qos import subscription_qos
+
+
+@dataclass(slots=True)
+class Progress:
+    """State of a run.
+
+    Attributes:
+        playing: the player was heard of.
+        played: the player has published everything.
+        fragments: published so far.
+        fragments_total: in the bags.
+        pairs_answered: relative transforms seen, failures included.
+        pairs_failed: of these, failures.
+        pairs_total: in the bags.
+        nodes: fragments that the pose graph knows.
+        placed: of these, placed in the largest component.
+        components: of the placed fragments.
+        rms_residual: metres; NaN without accepted edges.
+        settled: the pose graph includes everything it received.
+    """
+
+    playing: bool = False
+    played: bool = False
+    fragments: int = 0
+    fragments_total: int = 0
+    pairs_answered: int = 0
+    pairs_failed: int = 0
+    pairs_total: int = 0
+    nodes: int = 0
+    placed: int = 0
+    components: int = 0
+    rms_residual: float = math.nan
+    settled: bool = False
+    graph_answered: int = 0
+
+    @property
+    def complete(self) -> bool:
+        """Everything was played, every pair is answered, and the graph includes it all."""
+        return (
+            self.played
+            and self.settled
+            and self.nodes >= self.fragments_total
+            and self.graph_answered >= self.pairs_total
+        )
+
+
+class Monitor:
+    """Subscribes to the graph's state, in a ROS context of its own.
+
+    Args:
+        namespace: of the graph.
+    """
+
+    def __init__(self, namespace: str) -> None:
+        self.progress = Progress()
+        self._answered: set[tuple[str, str]] = set()
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=rclpy.SignalHandlerOptions.NO)
+        self._node = rclpy.create_node(
+            "monitor", namespace=namespace, context=self._context, start_parameter_services=False
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        for message_type, topic, callback in (
+            (PlaybackStatus, topics.PLAYBACK_STATUS, self._on_status),
+            (RelativeTransformMessage, topics.RELATIVE_TRANSFORMS, self._on_answer),
+            (PoseGraphMessage, topics.POSE_GRAPH, self._on_pose_graph),
+        ):
+            self._node.create_subscription(
+                message_type, topic.name, callback, subscription_qos(topic)
+            )
+
+    def spin(self, seconds: float) -> Progress:
+        """Listen for a while; the state after it."""
+        deadline = self._node.get_clock().now().nanoseconds + round(seconds * 1e9)
+        while (left := deadline - self._node.get_clock().now().nanoseconds) > 0:
+            self._executor.spin_once(timeout_sec=left / 1e9)
+        return self.progress
+
+    def foreign_publishers(self) -> list[str]:
+        """Nodes that already publish fragments or pose graphs under this namespace."""
+        return sorted(
+            {
+                f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                for topic in (topics.PLAYBACK_STATUS, topics.POSE_GRAPH)
+                for info in self._node.get_publishers_info_by_topic(
+                    self._node.resolve_topic_name(topic.name)
+                )
+            }
+        )
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _on_status(self, message: PlaybackStatus) -> None:
+        self.progress.playing = True
+        self.progress.played = message.state == PlaybackStatus.STATE_FINISHED
+        self.progress.fragments = message.fragments_published
+        self.progress.fragments_total = message.fragments_total
+        self.progress.pairs_total = message.pairs_total
+
+    def _on_answer(self, message: RelativeTransformMessage) -> None:
+        pair = (message.source_id, message.target_id)
+        if pair not in self._answered:
+            self._answered.add(pair)
+            failed = message.status != RelativeTransformMessage.STATUS_OK
+            self.progress.pairs_failed += failed
+            self.progress.pairs_answered = len(self._answered)
+
+    def _on_pose_graph(self, message: PoseGraphMessage) -> None:
+        placed = [node for node in message.nodes if node.status == FragmentPose.STATUS_PLACED]
+        self.progress.nodes = len(message.nodes)
+        self.progress.placed = sum(node.component == 0 for node in placed)
+        self.progress.components = len({node.component for node in placed})
+        self.progress.rms_residual = message.rms_residual
+        self.progress.settled = message.settled
+        self.progress.graph_answered = message.pairs_answered

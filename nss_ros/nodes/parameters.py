@@ -1,0 +1,128 @@
+"""ROS parameters from the settings of `nss_ros.config`, declared and validated live."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, Literal, TypeVar, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterUninitializedException,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from nss_ros.config import Section, validated
+from nss_ros.errors import ConfigError
+
+T = TypeVar("T", bound=Section)
+
+_LARGEST = 2**63 - 1
+_HUGE = 1.7e308
+
+
+def declare_parameters(node: Node, model: type[T]) -> T:
+    """Declare every setting of a section as a parameter and return the values given.
+
+    Raises:
+        ConfigError: a value given on the command line or in a file is not valid.
+    """
+    for name, field in _fields(model):
+        try:
+            node.declare_parameter(name, _default(field), _descriptor(field))
+        except (
+            InvalidParameterTypeException,
+            InvalidParameterValueException,
+            ParameterUninitializedException,
+        ) as error:
+            raise ConfigError(f"Parameter '{name}' of {node.get_name()}: {error}.") from error
+    return _values(node, model, {})
+
+
+def follow_parameters(node: Node, model: type[T], apply: Callable[[T], None]) -> None:
+    """Check every later change against the section, hand the section over when it fits."""
+
+    def check(changes: list[Parameter]) -> SetParametersResult:
+        try:
+            _values(node, model, {change.name: change.value for change in changes})
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def hand_over(_: list[Parameter]) -> None:
+        apply(_values(node, model, {}))
+
+    node.add_on_set_parameters_callback(check)
+    node.add_post_set_parameters_callback(hand_over)
+
+
+def ros_parameters(config: Section) -> dict[str, Any]:
+    """A section as nested ROS parameters for a parameter file; empty lists have no type there."""
+    return {
+        name: ros_parameters(value) if isinstance(value, Section) else value
+        for name in type(config).model_fields
+        if (value := getattr(config, name)) != []
+    }
+
+
+def _values(node: Node, model: type[T], changes: dict[str, Any]) -> T:
+    data: dict[str, Any] = {}
+    for name, _ in _fields(model):
+        value = changes[name] if name in changes else node.get_parameter(name).value
+        *sections, leaf = name.split(".")
+        place = data
+        for section in sections:
+            place = place.setdefault(section, {})
+        place[leaf] = list(value) if isinstance(value, tuple) else value
+    return validated(model, data, f"the parameters of {node.get_name()}")
+
+
+def _fields(model: type[Section], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+            yield from _fields(field.annotation, f"{prefix}{name}.")
+        else:
+            yield prefix + name, field
+
+
+def _default(field: FieldInfo) -> Any:
+    return field.default if field.default != [] else Parameter.Type.STRING_ARRAY
+
+
+def _descriptor(field: FieldInfo) -> ParameterDescriptor:
+    limits = {key: value for item in field.metadata for key, value in _limits(item)}
+    descriptor = ParameterDescriptor(description=field.description or "")
+    if get_origin(field.annotation) is Literal:
+        choices = ", ".join(get_args(field.annotation))
+        descriptor.additional_constraints = f"one of: {choices}"
+    elif field.annotation is int and limits:
+        low = int(limits.get("ge", limits.get("gt", -1) + 1 if "gt" in limits else -_LARGEST))
+        high = int(limits.get("le", _LARGEST))
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
+    elif field.annotation is float:
+        # Whole numbers are meant as floats: -p rate:=2 must not be a type error.
+        descriptor.dynamic_typing = True
+        if limits:
+            low_f = float(limits.get("ge", limits.get("gt", -_HUGE)))
+            high_f = float(limits.get("le", _HUGE))
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=low_f, to_value=high_f, step=0.0)
+            ]
+    elif field.default == []:
+        descriptor.dynamic_typing = True
+    return descriptor
+
+
+def _limits(item: Any) -> Iterator[tuple[str, float]]:
+    for key in ("ge", "gt", "le"):
+        value = getattr(item, key, None)
+        if value is not None:
+            yield key, value

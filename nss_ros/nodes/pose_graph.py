@@ -1,0 +1,416 @@
+"""Node `pose_graph`: accumulates fragments and relative transforms of all stages into one map.
+
+It never sees ground truth: it subscribes to fragments, pairs and relative transforms only.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import sys
+import threading
+import time
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+from geometry_msgs.msg import TransformStamped
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.task import Future
+from sensor_msgs.msg import PointCloud2
+from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from nss_msgs.msg import Fragment as FragmentMessage
+from nss_msgs.msg import FragmentPair as PairMessage
+from nss_msgs.msg import FragmentPoses
+from nss_msgs.msg import PoseGraph as PoseGraphMessage
+from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
+from nss_msgs.srv import AddConstraint, MapFile, RemoveConstraint
+from nss_ros import topics
+from nss_ros.config import PoseGraphConfig
+from nss_ros.errors import BagError, FormatError, InputError, NssError, RunError
+from nss_ros.fragment import Fragment
+from nss_ros.geometry import to_quaternion
+from nss_ros.messages import (
+    GraphProgress,
+    cloud_message,
+    fragment_from,
+    fragment_poses_message,
+    pair_from,
+    pose_from,
+    pose_graph_message,
+    relative_transform_from,
+    rosidl_family,
+)
+from nss_ros.multiway.map_file import load_map, save_map
+from nss_ros.multiway.multi_stage_map import MultiStageMap, map_points, solve
+from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
+from nss_ros.multiway.synchronizer import load_synchronizer
+from nss_ros.nodes.diagnostics import Health, publish_diagnostics
+from nss_ros.nodes.markers import graph_markers
+from nss_ros.nodes.parameters import declare_parameters, follow_parameters
+from nss_ros.nodes.qos import publisher_qos, subscription_qos
+from nss_ros.nodes.spin import Background, run_node
+
+_POLL = 0.05
+_TF_PERIOD = 1.0
+_MOST_ATTEMPTS = 2
+
+
+class PoseGraphNode(Node):
+    """Optimises in a worker process, publishes the corrected map; its executor only enqueues.
+
+    Raises:
+        ConfigError: a parameter is not valid.
+        MethodError: the synchronizer is unknown.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("pose_graph")
+        self._config = declare_parameters(self, PoseGraphConfig)
+        load_synchronizer(self._config)
+        self._lock = threading.Lock()
+        self._map = MultiStageMap(self._config.map_voxel_size)
+        self._graph = PoseGraph(synchronizer=self._config.synchronizer)
+        self._fragments_in: SimpleQueue[Fragment] = SimpleQueue()
+        self._waiting_for_optimum: list[Future] = []
+        self._solved_version = 0
+        self._settled = True
+        self._last_change = self._last_solve = time.monotonic()
+        self._solve_time = 0.0
+        self._executor_pool = _solver()
+        self._create_publishers()
+        self._create_subscriptions()
+        self._create_services()
+        follow_parameters(self, PoseGraphConfig, self._apply)
+        publish_diagnostics(self, self._health)
+        self.background = Background("optimise", self._work)
+        self.background.start()
+
+    def close(self) -> None:
+        """End the worker."""
+        self.background.stopping.set()
+        for process in list((self._executor_pool._processes or {}).values()):
+            process.kill()
+        self.background.stop()
+        self._executor_pool.shutdown(wait=True, cancel_futures=True)
+
+    def _create_publishers(self) -> None:
+        def publisher(message_type: type, topic: topics.Topic) -> Publisher:
+            return self.create_publisher(message_type, topic.name, publisher_qos(topic))
+
+        self._pose_graph = publisher(PoseGraphMessage, topics.POSE_GRAPH)
+        self._poses = publisher(FragmentPoses, topics.FRAGMENT_POSES)
+        self._map_cloud = publisher(PointCloud2, topics.MAP)
+        self._stage_clouds: dict[int, Publisher] = {}
+        self._markers = publisher(MarkerArray, topics.MARKERS)
+        self._tf = publisher(TFMessage, topics.TF)
+        self.create_timer(_TF_PERIOD, self._publish_tf)
+
+    def _create_subscriptions(self) -> None:
+        for message_type, topic, callback in (
+            (FragmentMessage, topics.FRAGMENTS, self._on_fragment),
+            (PairMessage, topics.FRAGMENT_PAIRS, self._on_pair),
+            (RelativeTransformMessage, topics.RELATIVE_TRANSFORMS, self._on_relative_transform),
+        ):
+            self.create_subscription(message_type, topic.name, callback, subscription_qos(topic))
+
+    def _create_services(self) -> None:
+        for service_type, name, callback in (
+            (MapFile, "save_map", self._on_save_map),
+            (MapFile, "load_map", self._on_load_map),
+            (AddConstraint, "add_constraint", self._on_add_constraint),
+            (RemoveConstraint, "remove_constraint", self._on_remove_constraint),
+            (Trigger, "optimize", self._on_optimize),
+            (Trigger, "reset", self._on_reset),
+        ):
+            self.create_service(service_type, f"~/{name}", callback)
+
+    def _apply(self, config: PoseGraphConfig) -> None:
+        with self._lock:
+            self._config = config
+            self._map.version += 1
+            self._changed()
+
+    def _changed(self) -> None:
+        self._last_change = time.monotonic()
+        self._settled = False
+
+    def _on_fragment(self, message: FragmentMessage) -> None:
+        try:
+            self._fragments_in.put(fragment_from(message))
+        except InputError as error:
+            self.get_logger().error(f"Fragment '{message.id}' ignored: {error}")
+
+    def _on_pair(self, message: PairMessage) -> None:
+        try:
+            pair = pair_from(message)
+        except InputError as error:
+            self.get_logger().error(f"Pair ignored: {error}")
+            return
+        with self._lock:
+            self._map.add_pair(pair)
+            self._changed()
+
+    def _on_relative_transform(self, message: RelativeTransformMessage) -> None:
+        try:
+            result = relative_transform_from(message)
+        except InputError as error:
+            self.get_logger().error(f"Relative transform ignored: {error}")
+            return
+        with self._lock:
+            if self._map.add_result(result):
+                self._changed()
+
+    def _on_save_map(self, request: MapFile.Request, response: MapFile.Response) -> object:
+        with self._lock:
+            graph, fragments, results = self._graph, dict(self._map.fragments), self._map.results
+            results = dict(results)
+        if not graph.poses():
+            response.code = MapFile.Response.EMPTY_MAP
+            response.message = "Nothing is placed yet, so there is nothing to save."
+            return response
+        try:
+            save_map(Path(request.path), fragments, results, graph)
+        except FormatError as error:
+            unknown = not isinstance(error, BagError)
+            kinds = MapFile.Response
+            response.code = kinds.FORMAT_ERROR if unknown else kinds.FILE_ERROR
+            response.message = str(error)
+            return response
+        response.message = f"Saved {len(graph.poses())} placed fragments to {request.path}."
+        return response
+
+    def _on_load_map(self, request: MapFile.Request, response: MapFile.Response) -> object:
+        try:
+            saved = load_map(Path(request.path))
+        except NssError as error:
+            exists = Path(request.path).exists()
+            kinds = MapFile.Response
+            response.code = kinds.FORMAT_ERROR if exists else kinds.FILE_ERROR
+            response.message = str(error)
+            return response
+        with self._lock:
+            for fragment in saved.fragments.values():
+                self._map.add_fragment(fragment)
+            for pair, result in saved.relative_transforms.items():
+                self._map.add_pair(pair)
+                self._map.add_result(result)
+            for pair, transform in saved.constraints.items():
+                self._map.add_constraint(pair, transform)
+            self._changed()
+        response.message = (
+            f"Loaded {len(saved.fragments)} fragments and "
+            f"{len(saved.relative_transforms)} relative transforms from {request.path}."
+        )
+        return response
+
+    def _on_add_constraint(
+        self, request: AddConstraint.Request, response: AddConstraint.Response
+    ) -> object:
+        try:
+            pair = pair_from(request)
+            transform, covariance = pose_from(request.pose)
+        except InputError as error:
+            response.code, response.message = AddConstraint.Response.INVALID_POSE, str(error)
+            return response
+        with self._lock:
+            known = pair.source in self._map.fragments and pair.target in self._map.fragments
+            try:
+                self._map.add_constraint(pair, transform, covariance)
+            except InputError as error:
+                kinds = AddConstraint.Response
+                response.code = kinds.INVALID_POSE if known else kinds.UNKNOWN_FRAGMENT
+                response.message = str(error)
+                return response
+            self._changed()
+        response.message = f"Added the constraint {pair}."
+        return response
+
+    def _on_remove_constraint(
+        self, request: RemoveConstraint.Request, response: RemoveConstraint.Response
+    ) -> object:
+        try:
+            pair = pair_from(request)
+            with self._lock:
+                removed = self._map.remove_constraint(pair)
+                self._changed()
+        except InputError as error:
+            response.code, response.message = RemoveConstraint.Response.UNKNOWN_EDGE, str(error)
+            return response
+        if removed:
+            response.message = f"Removed {pair}."
+        else:
+            response.code = RemoveConstraint.Response.UNKNOWN_EDGE
+            response.message = f"No constraint and no relative transform links {pair}."
+        return response
+
+    async def _on_optimize(self, _: Trigger.Request, response: Trigger.Response) -> object:
+        done: Future = Future()
+        with self._lock:
+            self._map.version += 1
+            self._waiting_for_optimum.append(done)
+            self._changed()
+        await done
+        graph = self._graph
+        response.success = True
+        response.message = (
+            f"{len(graph.poses())} of {len(graph.nodes)} fragments placed, "
+            f"RMS residual {graph.rms_residual():.3f} m."
+        )
+        return response
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> object:
+        with self._lock:
+            version = self._map.version
+            self._map = MultiStageMap(self._config.map_voxel_size)
+            self._map.version = version + 1
+            self._changed()
+        response.success = True
+        response.message = "Forgot all fragments, relative transforms and constraints."
+        return response
+
+    def _health(self) -> Health:
+        graph = self._graph
+        components = {node.component for node in graph.poses().values()}
+        values = {
+            "fragments": len(self._map.fragments),
+            "placed": len(graph.poses()),
+            "components": len(components),
+            "pairs": f"{len(self._map.results)} / {len(self._map.pairs)}",
+            "rms_residual": f"{graph.rms_residual():.3f} m",
+            "solve_time": f"{self._solve_time:.2f} s",
+        }
+        well = len(components) <= 1
+        sentence = "one component" if well else f"{len(components)} components are not linked"
+        return well, sentence, values
+
+    def _work(self) -> None:
+        while not self.background.stopping.is_set():
+            self._take_fragments()
+            now = time.monotonic()
+            quiet = now - self._last_change >= self._config.settle_time
+            # Long optimisations get longer pauses, so that they take half of the time at most.
+            pause = max(self._config.update_period, 2 * self._solve_time)
+            if self._map.version != self._solved_version:
+                if quiet or self._waiting_for_optimum or now - self._last_solve >= pause:
+                    self._solve()
+            elif quiet and not self._settled and self._fragments_in.empty():
+                self._settled = True
+                self._publish_graph()
+            self.background.stopping.wait(_POLL)
+
+    def _take_fragments(self) -> None:
+        while True:
+            try:
+                fragment = self._fragments_in.get_nowait()
+            except Empty:
+                return
+            with self._lock:
+                if self._map.add_fragment(fragment):
+                    self._changed()
+                else:
+                    self.get_logger().debug(f"Fragment {fragment.id} came again: ignored.")
+
+    def _solve(self) -> None:
+        with self._lock:
+            version, config = self._map.version, self._config
+            problem = (
+                sorted(self._map.fragments),
+                self._map.measurements(),
+                self._map.unused_edges(),
+            )
+            waiting, self._waiting_for_optimum = self._waiting_for_optimum, []
+        begin = time.monotonic()
+        graph = self._optimum(config, *problem)
+        if graph is None:
+            return
+        self._last_solve = time.monotonic()
+        self._solve_time = self._last_solve - begin
+        with self._lock:
+            self._graph, self._solved_version = graph, version
+        self._publish_graph()
+        self._publish_map()
+        for done in waiting:
+            done.set_result(None)
+
+    def _optimum(self, config: PoseGraphConfig, *problem: object) -> PoseGraph | None:
+        for _ in range(_MOST_ATTEMPTS):
+            try:
+                return self._executor_pool.submit(solve, config, *problem).result()  # type: ignore[arg-type]
+            except BrokenProcessPool:
+                if self.background.stopping.is_set():
+                    return None
+                self.get_logger().error("The optimiser's process died: starting another.")
+                self._executor_pool = _solver()
+        raise RunError("The optimiser's process died twice: see the log for what killed it.")
+
+    def _stamp(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _publish_graph(self) -> None:
+        graph, family, frame = self._graph, rosidl_family(), self._config.map_frame
+        with self._lock:
+            answered = sum(pair in self._map.results for pair in self._map.pairs)
+            progress = GraphProgress(len(self._map.pairs), answered, self._settled)
+        stamp = self._stamp()
+        self._pose_graph.publish(pose_graph_message(graph, frame, stamp, family, progress))
+        self._poses.publish(fragment_poses_message(graph.nodes, frame, stamp, family))
+        self._markers.publish(graph_markers(graph, frame))
+        self._publish_tf()
+
+    def _publish_tf(self) -> None:
+        stamp = self.get_clock().now().to_msg()
+        transforms = []
+        for node in self._graph.nodes:
+            if node.status is not NodeStatus.PLACED:
+                continue
+            transform = TransformStamped(child_frame_id=str(node.id))
+            transform.header.stamp = stamp
+            transform.header.frame_id = self._frame(node.component)
+            translation, rotation = transform.transform.translation, transform.transform.rotation
+            translation.x, translation.y, translation.z = map(float, node.T_map_fragment[:3, 3])
+            rotation.x, rotation.y, rotation.z, rotation.w = map(
+                float, to_quaternion(node.T_map_fragment)
+            )
+            transforms.append(transform)
+        if transforms:
+            self._tf.publish(TFMessage(transforms=transforms))
+
+    def _frame(self, component: int) -> str:
+        frame = self._config.map_frame
+        return frame if component == 0 else f"{frame}_{component}"
+
+    def _publish_map(self) -> None:
+        with self._lock:
+            fragments = dict(self._map.fragments)
+        points, stages = map_points(fragments, self._graph, self._config.map_voxel_size)
+        stamp, frame, family = self._stamp(), self._config.map_frame, rosidl_family()
+        for stage in {int(value) for value in set(stages.tolist())} | set(self._stage_clouds):
+            if stage not in self._stage_clouds:
+                topic = topics.stage_map(stage)
+                self._stage_clouds[stage] = self.create_publisher(
+                    PointCloud2, topic.name, publisher_qos(topic)
+                )
+            own = points[stages == stage]
+            columns = dict(zip("xyz", own.T, strict=True)) | {"stage": stages[stages == stage]}
+            self._stage_clouds[stage].publish(cloud_message(columns, frame, stamp, family))
+        columns = dict(zip("xyz", points.T, strict=True)) | {"stage": stages}
+        self._map_cloud.publish(cloud_message(columns, frame, stamp, family))
+
+
+def _solver() -> ProcessPoolExecutor:
+    """One worker process: the optimiser holds the interpreter lock for as long as it runs."""
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+
+
+def main(args: list[str] | None = None) -> None:
+    """Entry point of the node."""
+    sys.exit(run_node(PoseGraphNode, args))
+
+
+if __name__ == "__main__":
+    main()
