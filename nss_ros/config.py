@@ -8,6 +8,7 @@ registration node is `registration.icp.max_distance` in a file.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -192,14 +193,29 @@ class NssConfig(Section):
     recorder: RecorderConfig = RecorderConfig()
 
 
-def load_config(path: Path | None = None, overrides: list[str] | None = None) -> NssConfig:
+def load_config(
+    path: Path | None = None,
+    overrides: Sequence[str] = (),
+    defaults: Sequence[str] = (),
+) -> NssConfig:
     """Settings from a YAML file and `section.name=value` overrides, defaults for the rest.
+
+    Args:
+        path: YAML file with sections.
+        overrides: win over the file.
+        defaults: like overrides, but the file wins over them.
 
     Raises:
         ConfigError: the file cannot be read, or a name or value is not valid.
     """
-    data = _read_yaml(path) if path else {}
-    for override in overrides or []:
+    data: dict[str, Any] = {}
+    for default in defaults:
+        _apply_override(data, default)
+    if path:
+        for section, settings in _read_yaml(path).items():
+            both = isinstance(settings, dict) and isinstance(data.get(section), dict)
+            data[section] = data[section] | settings if both else settings
+    for override in overrides:
         _apply_override(data, override)
     return validated(NssConfig, data, str(path) if path else "--set")
 

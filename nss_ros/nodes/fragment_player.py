@@ -92,7 +92,7 @@ class FragmentPlayer(Node):
         self._status = self.create_publisher(
             PlaybackStatus, topics.PLAYBACK_STATUS.name, publisher_qos(topics.PLAYBACK_STATUS)
         )
-        self._clock = self.create_publisher(Clock, topics.CLOCK.name, publisher_qos(topics.CLOCK))
+        self._clock_publisher = self.create_publisher(Clock, topics.CLOCK.name, publisher_qos(topics.CLOCK))
         self.create_subscription(
             RelativeTransformMessage,
             topics.RELATIVE_TRANSFORMS.name,
@@ -235,7 +235,7 @@ class FragmentPlayer(Node):
 
     def _publish_clock(self) -> None:
         if self._config.publish_clock:
-            self._clock.publish(Clock(clock=time_message(self._stamp, rosidl_family())))
+            self._clock_publisher.publish(Clock(clock=time_message(self._stamp, rosidl_family())))
 
     def _publish_status(self, state: int) -> None:
         self._state = state

@@ -81,7 +81,8 @@ def _values(node: Node, model: type[T], changes: dict[str, Any]) -> T:
         place = data
         for section in sections:
             place = place.setdefault(section, {})
-        place[leaf] = list(value) if isinstance(value, tuple) else value
+        # An empty list has no type in ROS: such a parameter is not set.
+        place[leaf] = [] if value is None else value
     return validated(model, data, f"the parameters of {node.get_name()}")
 
 
@@ -94,7 +95,7 @@ def _fields(model: type[Section], prefix: str = "") -> Iterator[tuple[str, Field
 
 
 def _default(field: FieldInfo) -> Any:
-    return field.default if field.default != [] else Parameter.Type.STRING_ARRAY
+    return field.default if field.default != [] else None
 
 
 def _descriptor(field: FieldInfo) -> ParameterDescriptor:

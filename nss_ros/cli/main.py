@@ -1,0 +1,65 @@
+"""The command line: `nss COMMAND`."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+from rich.console import Console
+
+from nss_ros import __version__
+from nss_ros.cli.demo import demo
+from nss_ros.cli.export import export
+from nss_ros.cli.import_ import import_folder
+from nss_ros.cli.map import map_
+from nss_ros.cli.score import score
+from nss_ros.cli.settings import config, methods
+from nss_ros.cli.simulate import simulate
+from nss_ros.errors import NssError
+
+app = typer.Typer(
+    name="nss",
+    help="One map of a building that changes: register multi-stage fragments in a ROS 2 graph, "
+    "and score the result.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+app.command("demo")(demo)
+app.command("map")(map_)
+app.command("score")(score)
+app.command("import")(import_folder)
+app.command("export")(export)
+app.command("simulate")(simulate)
+app.command("methods")(methods)
+app.command("config")(config)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"nss_ros {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(  # noqa: ARG001 - handled by the callback
+        False, "--version", callback=_version, is_eager=True, help="Print the version and exit."
+    ),
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Entry point: an error that the user can mend is one sentence and status 1."""
+    try:
+        app()
+    except NssError as error:
+        Console(stderr=True).print(f"[red]error:[/red] {error}", soft_wrap=True, highlight=False)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()
