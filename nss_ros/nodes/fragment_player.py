@@ -92,7 +92,9 @@ class FragmentPlayer(Node):
         self._status = self.create_publisher(
             PlaybackStatus, topics.PLAYBACK_STATUS.name, publisher_qos(topics.PLAYBACK_STATUS)
         )
-        self._clock_publisher = self.create_publisher(Clock, topics.CLOCK.name, publisher_qos(topics.CLOCK))
+        self._clock_publisher = self.create_publisher(
+            Clock, topics.CLOCK.name, publisher_qos(topics.CLOCK)
+        )
         self.create_subscription(
             RelativeTransformMessage,
             topics.RELATIVE_TRANSFORMS.name,

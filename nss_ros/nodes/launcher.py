@@ -45,12 +45,15 @@ class Launcher:
     Args:
         namespace: of all nodes.
         directory: for parameter files and output.
+
+    Attributes:
+        nodes: started so far, in order.
     """
 
     def __init__(self, namespace: str, directory: Path) -> None:
         self._namespace = namespace
         self._directory = directory
-        self._nodes: list[NodeProcess] = []
+        self.nodes: list[NodeProcess] = []
 
     def start(self, executable: str, parameters: Mapping[str, Any], name: str = "") -> None:
         """Start `nss_ros.nodes.<executable>`, under another node name if given."""
@@ -72,7 +75,7 @@ class Launcher:
                 start_new_session=True,
                 env={**os.environ, "PYTHONUNBUFFERED": "1"},
             )
-        self._nodes.append(NodeProcess(name, process, log))
+        self.nodes.append(NodeProcess(name, process, log))
 
     def check(self) -> None:
         """Look after the nodes.
@@ -80,7 +83,7 @@ class Launcher:
         Raises:
             RunError: one has ended; the message names it and quotes its last words.
         """
-        for node in self._nodes:
+        for node in self.nodes:
             status = node.process.poll()
             if status is None:
                 continue
@@ -98,9 +101,9 @@ class Launcher:
             Names of the nodes that had to be killed or ended with an error.
         """
         unclean = []
-        for node in reversed(self._nodes[1:]):
+        for node in reversed(self.nodes[1:]):
             _interrupt(node)
-        for node in [*reversed(self._nodes[1:]), *self._nodes[:1]]:
+        for node in [*reversed(self.nodes[1:]), *self.nodes[:1]]:
             _interrupt(node)
             if not _ended(node):
                 _kill(node)

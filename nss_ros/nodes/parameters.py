@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from nss_ros.config import Section, validated
-from nss_ros.errors import ConfigError
+from nss_ros.errors import ConfigError, NssError
 
 T = TypeVar("T", bound=Section)
 
@@ -60,7 +60,7 @@ def follow_parameters(node: Node, model: type[T], apply: Callable[[T], None]) ->
     def hand_over(_: list[Parameter]) -> None:
         apply(_values(node, model, {}))
 
-    node.add_on_set_parameters_callback(check)
+    node.add_on_set_parameters_callback(accept)
     node.add_post_set_parameters_callback(hand_over)
 
 

@@ -85,7 +85,7 @@ class PoseGraphNode(Node):
         self._create_publishers()
         self._create_subscriptions()
         self._create_services()
-        follow_parameters(self, PoseGraphConfig, self._apply)
+        follow_parameters(self, PoseGraphConfig, self._apply, load_synchronizer)
         publish_diagnostics(self, self._health)
         self.background = Background("optimise", self._work)
         self.background.start()

@@ -25,6 +25,7 @@ from nss_ros.nodes.diagnostics import Health, publish_diagnostics
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
 from nss_ros.nodes.qos import publisher_qos, subscription_qos
 from nss_ros.nodes.spin import Background, run_node
+from nss_ros.registration.method import load_method
 from nss_ros.registration.pool import RegistrationPool
 from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
 from nss_ros.registration.seed import shard_of
@@ -45,7 +46,7 @@ class Registration(Node):
     def __init__(self) -> None:
         super().__init__("registration")
         self._config = declare_parameters(self, RegistrationNodeConfig)
-        _check_shard(self._config)
+        _check(self._config)
         self._pool = RegistrationPool(self._config, self._config.workers, self._config.memory_limit)
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._fragments: set[FragmentId] = set()
@@ -55,7 +56,7 @@ class Registration(Node):
         self._last_arrival = time.monotonic()
         self._failures = 0
         self._create_interface()
-        follow_parameters(self, RegistrationNodeConfig, self._events.put)
+        follow_parameters(self, RegistrationNodeConfig, self._events.put, _check)
         self.background = Background("register", self._work)
         self.background.start()
 
@@ -180,16 +181,12 @@ class Registration(Node):
     def _reconfigure(self, config: RegistrationNodeConfig) -> None:
         if config == self._config:
             return
-        try:
-            _check_shard(config)
-            self._pool.reconfigure(config, config.workers, config.memory_limit)
-        except (ConfigError, InputError) as error:
-            self.get_logger().error(f"Parameters not applied: {error}")
-            return
+        self._pool.reconfigure(config, config.workers, config.memory_limit)
         self._config = config
 
 
-def _check_shard(config: RegistrationNodeConfig) -> None:
+def _check(config: RegistrationNodeConfig) -> None:
+    load_method(config)
     if config.shard_index >= config.shard_count:
         raise ConfigError(
             f"shard_index {config.shard_index} must be less than shard_count {config.shard_count}."

@@ -49,7 +49,6 @@ class RegistrationPool:
     """
 
     def __init__(self, config: RegistrationConfig, workers: int = 0, memory_limit: int = 1024):
-        load_method(config)  # an unknown method is an error here, not in a worker
         _sweep()
         self._config = config
         self._workers = workers or os.cpu_count() or 1
@@ -74,7 +73,6 @@ class RegistrationPool:
 
     def reconfigure(self, config: RegistrationConfig, workers: int, memory_limit: int) -> None:
         """Use other settings for the pairs that are not running yet; features are made anew."""
-        load_method(config)
         self._config, self._workers = config, workers or os.cpu_count() or 1
         self._memory_limit = memory_limit
         self._waiting.extendleft(reversed(self._running.values()))

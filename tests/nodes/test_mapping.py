@@ -1,0 +1,183 @@
+"""Whole runs: bags in, log out, over DDS."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nss_ros.bag import read_log, write_bag
+from nss_ros.config import load_config
+from nss_ros.errors import BagError, RunError
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair
+from nss_ros.geometry import inverse, rotation_angle
+from nss_ros.multiway.pose_graph import NodeStatus
+from nss_ros.nodes.mapping import run_mapping
+from nss_ros.registration.relative_transform import Reason
+
+pytestmark = pytest.mark.ros
+
+SETTINGS = ["player.rate=0", "pose_graph.update_period=0.5"]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory, room_bag):
+    """The log of one undisturbed run, for all to compare with."""
+    os.environ["ROS_DOMAIN_ID"] = "9"
+    output = tmp_path_factory.mktemp("runs") / "log"
+    run_mapping([room_bag], output, load_config(None, SETTINGS), timeout=200)
+    return read_log(output)
+
+
+def assert_same_result(one, other) -> None:
+    assert set(one.relative_transforms) == set(other.relative_transforms)
+    for pair, result in one.relative_transforms.items():
+        again = other.relative_transforms[pair]
+        assert result.reason == again.reason
+        np.testing.assert_array_equal(result.T_target_source, again.T_target_source)
+    for node, again in zip(one.pose_graph.nodes, other.pose_graph.nodes, strict=True):
+        assert (node.id, node.status, node.component) == (again.id, again.status, again.component)
+        np.testing.assert_array_equal(node.T_map_fragment, again.T_map_fragment)
+
+
+def test_a_run_maps_the_room(log, room):
+    assert not log.partial
+    assert set(log.relative_transforms) == set(room.pairs)
+    poses = log.pose_graph.poses()
+    assert {node.component for node in poses.values()} == {0}
+    assert set(poses) == {node.id for node in room.ground_truth.nodes}
+    for edge in room.ground_truth.edges:
+        source = poses[edge.pair.source].T_map_fragment
+        target = poses[edge.pair.target].T_map_fragment
+        error = inverse(edge.T_target_source) @ inverse(target) @ source
+        assert np.linalg.norm(error[:3, 3]) < 0.1
+        assert np.rad2deg(rotation_angle(error)) < 3
+
+
+def test_the_log_tells_how_it_was_made(log, room_bag):
+    assert log.metadata["bag_0"] == str(room_bag)
+    assert len(log.metadata["bag_0_sha256"]) == 64
+    assert "fpfh_ransac" in log.metadata["config"]
+    assert log.metadata["git_revision"]
+    assert log.ground_truth[0].name == "room"
+
+
+def test_two_registration_nodes_and_another_order_give_the_same(tmp_path, log, room):
+    bag = tmp_path / "reversed"
+    write_bag(bag, room.fragments[::-1], room.pairs[::-1], [room.ground_truth])
+    config = load_config(None, SETTINGS)
+    run_mapping([bag], tmp_path / "log", config, registration_nodes=2, timeout=200)
+    assert_same_result(log, read_log(tmp_path / "log"))
+
+
+def test_one_bag_per_stage_in_a_row_gives_one_map(tmp_path, room):
+    bags = []
+    for stage in (1, 2):
+        fragments = [f for f in room.fragments if f.id.stage == stage]
+        pairs = [p for p in room.pairs if p.source.stage == p.target.stage == stage]
+        bags.append(tmp_path / f"stage_{stage}")
+        write_bag(bags[-1], fragments, pairs)
+    config = load_config(None, SETTINGS)
+    progress = run_mapping(bags, tmp_path / "log", config, namespace="/site/a", timeout=200)
+    assert progress.pairs_total == len(room.pairs)
+    result = read_log(tmp_path / "log")
+    assert set(result.relative_transforms) == set(room.pairs)
+    assert len(result.pose_graph.poses()) == len(room.fragments)
+
+
+def test_useless_fragments_are_answered_and_left_out(tmp_path, room):
+    one_point = Fragment(FragmentId("1", 1, 90), np.ones((1, 3), np.float32))
+    nothing_finite = Fragment(FragmentId("1", 1, 91), np.full((9, 3), np.nan, np.float32))
+    pairs = [
+        *room.pairs[:1],
+        FragmentPair(one_point.id, room.fragments[0].id),
+        FragmentPair(room.fragments[0].id, nothing_finite.id),
+    ]
+    write_bag(tmp_path / "bag", [*room.fragments[:2], one_point, nothing_finite], pairs)
+    config = load_config(None, SETTINGS)
+    run_mapping([tmp_path / "bag"], tmp_path / "log", config, timeout=200)
+    result = read_log(tmp_path / "log")
+    for pair in pairs[1:]:
+        assert result.relative_transforms[pair].reason is Reason.TOO_FEW_POINTS
+        assert result.relative_transforms[pair].message
+    status = {node.id: node.status for node in result.pose_graph.nodes}
+    assert status[one_point.id] is NodeStatus.UNPLACED
+    assert status[room.fragments[0].id] is NodeStatus.PLACED
+
+
+def test_a_bag_that_is_not_there_is_named_before_anything_starts(tmp_path):
+    with pytest.raises(BagError, match="nowhere"):
+        run_mapping([tmp_path / "nowhere"], tmp_path / "log", load_config())
+    assert not (tmp_path / "log").exists()
+
+
+def test_an_existing_log_is_never_overwritten(tmp_path, room_bag):
+    (tmp_path / "log").mkdir()
+    with pytest.raises(RunError, match="exists already"):
+        run_mapping([room_bag], tmp_path / "log", load_config())
+
+
+def test_a_node_that_cannot_start_is_named(tmp_path, room_bag):
+    config = load_config(None, [*SETTINGS, "registration.method=magic"])
+    with pytest.raises(RunError, match=r"registration.*no registration method 'magic'"):
+        run_mapping([room_bag], tmp_path / "log", config, timeout=100)
+
+
+def _run_map(bag: Path, log: Path, *options: str) -> subprocess.Popen:
+    command = [sys.executable, "-m", "nss_ros.cli.main", "map", str(bag), "-o", str(log), *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def _child(parent: int, module: str) -> int | None:
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                command = (entry / "cmdline").read_bytes().decode().split("\0")
+                ppid = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            except (OSError, IndexError):
+                continue
+            if ppid == parent and f"nss_ros.nodes.{module}" in command:
+                return int(entry.name)
+    return None
+
+
+def _wait_for_answers(log: Path, count: int) -> None:
+    deadline = time.monotonic() + 100
+    while time.monotonic() < deadline:
+        try:
+            if len(read_log(log, points=False).relative_transforms) >= count:
+                return
+        except BagError:
+            pass
+        time.sleep(0.2)
+    raise AssertionError(f"{log} did not get {count} answers")
+
+
+@pytest.mark.parametrize("victim", ["recorder", "registration", "pose_graph", "fragment_player"])
+def test_a_killed_node_is_named_and_the_log_survives(tmp_path, room_bag, victim):
+    log = tmp_path / "log"
+    run = _run_map(room_bag, log)
+    _wait_for_answers(log, 3)
+    os.kill(_child(run.pid, victim), signal.SIGKILL)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 1
+    assert f"Node {victim} was killed by SIGKILL" in " ".join(errors.split())
+    assert "Traceback" not in errors
+    survived = read_log(log)
+    assert len(survived.relative_transforms) >= 3
+    assert survived.partial == (victim == "recorder")
+
+
+def test_ctrl_c_closes_the_log(tmp_path, room_bag):
+    log = tmp_path / "log"
+    run = _run_map(room_bag, log)
+    _wait_for_answers(log, 2)
+    run.send_signal(signal.SIGINT)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "Traceback" not in errors
+    assert not read_log(log).partial
