@@ -47,13 +47,25 @@ def declare_parameters(node: Node, model: type[T]) -> T:
     return _values(node, model, {})
 
 
-def follow_parameters(node: Node, model: type[T], apply: Callable[[T], None]) -> None:
-    """Check every later change against the section, hand the section over when it fits."""
+def follow_parameters(
+    node: Node,
+    model: type[T],
+    apply: Callable[[T], None],
+    check: Callable[[T], object] = lambda _: None,
+) -> None:
+    """Check every later change against the section, and hand the section over when it fits.
 
-    def check(changes: list[Parameter]) -> SetParametersResult:
+    Args:
+        node: whose parameters.
+        model: the section that was declared.
+        apply: takes the new settings.
+        check: raises an NssError for settings that the section allows but the node cannot use.
+    """
+
+    def accept(changes: list[Parameter]) -> SetParametersResult:
         try:
-            _values(node, model, {change.name: change.value for change in changes})
-        except ConfigError as error:
+            check(_values(node, model, {change.name: change.value for change in changes}))
+        except NssError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

@@ -9,6 +9,7 @@ import multiprocessing
 import sys
 import threading
 import time
+from concurrent.futures import Future as SolutionFuture
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -57,7 +58,7 @@ from nss_ros.nodes.spin import Background, run_node
 
 _POLL = 0.05
 _TF_PERIOD = 1.0
-_MOST_ATTEMPTS = 2
+_MOST_DEATHS = 2
 
 
 class PoseGraphNode(Node):
@@ -81,7 +82,11 @@ class PoseGraphNode(Node):
         self._settled = True
         self._last_change = self._last_solve = time.monotonic()
         self._solve_time = 0.0
-        self._executor_pool = _solver()
+        self._solver = _solver()
+        self._solver_deaths = 0
+        self._solution: SolutionFuture[PoseGraph] | None = None
+        self._solving_version = 0
+        self._solving_for: list[Future] = []
         self._create_publishers()
         self._create_subscriptions()
         self._create_services()
@@ -92,11 +97,10 @@ class PoseGraphNode(Node):
 
     def close(self) -> None:
         """End the worker."""
-        self.background.stopping.set()
-        for process in list((self._executor_pool._processes or {}).values()):
-            process.kill()
         self.background.stop()
-        self._executor_pool.shutdown(wait=True, cancel_futures=True)
+        for process in list((self._solver._processes or {}).values()):
+            process.kill()
+        self._solver.shutdown(wait=True, cancel_futures=True)
 
     def _create_publishers(self) -> None:
         def publisher(message_type: type, topic: topics.Topic) -> Publisher:
@@ -291,17 +295,28 @@ class PoseGraphNode(Node):
     def _work(self) -> None:
         while not self.background.stopping.is_set():
             self._take_fragments()
-            now = time.monotonic()
-            quiet = now - self._last_change >= self._config.settle_time
-            # Long optimisations get longer pauses, so that they take half of the time at most.
-            pause = max(self._config.update_period, 2 * self._solve_time)
-            if self._map.version != self._solved_version:
-                if quiet or self._waiting_for_optimum or now - self._last_solve >= pause:
-                    self._solve()
-            elif quiet and not self._settled and self._fragments_in.empty():
+            if self._solution is not None:
+                if self._solution.done():
+                    self._finish_solution()
+            elif self._due():
+                self._begin_solution()
+            elif self._quiet() and not self._settled and not self._outdated():
                 self._settled = True
                 self._publish_graph()
             self.background.stopping.wait(_POLL)
+
+    def _quiet(self) -> bool:
+        unheard = time.monotonic() - self._last_change >= self._config.settle_time
+        return unheard and self._fragments_in.empty()
+
+    def _outdated(self) -> bool:
+        return self._map.version != self._solved_version
+
+    def _due(self) -> bool:
+        # Long optimisations get longer pauses, so that they take half of the time at most.
+        pause = max(self._config.update_period, 2 * self._solve_time)
+        rested = time.monotonic() - self._last_solve >= pause
+        return self._outdated() and (self._quiet() or rested or bool(self._waiting_for_optimum))
 
     def _take_fragments(self) -> None:
         while True:
@@ -315,38 +330,47 @@ class PoseGraphNode(Node):
                 else:
                     self.get_logger().debug(f"Fragment {fragment.id} came again: ignored.")
 
-    def _solve(self) -> None:
+    def _begin_solution(self) -> None:
         with self._lock:
-            version, config = self._map.version, self._config
+            self._solving_version = self._map.version
             problem = (
+                self._config,
                 sorted(self._map.fragments),
                 self._map.measurements(),
                 self._map.unused_edges(),
             )
-            waiting, self._waiting_for_optimum = self._waiting_for_optimum, []
-        begin = time.monotonic()
-        graph = self._optimum(config, *problem)
-        if graph is None:
-            return
+            self._solving_for, self._waiting_for_optimum = self._waiting_for_optimum, []
         self._last_solve = time.monotonic()
-        self._solve_time = self._last_solve - begin
+        self._solution = self._solver.submit(solve, *problem)
+
+    def _finish_solution(self) -> None:
+        solution, self._solution = self._solution, None
+        assert solution is not None
+        try:
+            graph = solution.result()
+        except BrokenProcessPool as error:
+            self._restart_solver(error)
+            return
+        self._solver_deaths = 0
+        now = time.monotonic()
+        self._solve_time, self._last_solve = now - self._last_solve, now
         with self._lock:
-            self._graph, self._solved_version = graph, version
+            self._graph, self._solved_version = graph, self._solving_version
         self._publish_graph()
         self._publish_map()
-        for done in waiting:
+        for done in self._solving_for:
             done.set_result(None)
 
-    def _optimum(self, config: PoseGraphConfig, *problem: object) -> PoseGraph | None:
-        for _ in range(_MOST_ATTEMPTS):
-            try:
-                return self._executor_pool.submit(solve, config, *problem).result()  # type: ignore[arg-type]
-            except BrokenProcessPool:
-                if self.background.stopping.is_set():
-                    return None
-                self.get_logger().error("The optimiser's process died: starting another.")
-                self._executor_pool = _solver()
-        raise RunError("The optimiser's process died twice: see the log for what killed it.")
+    def _restart_solver(self, error: BrokenProcessPool) -> None:
+        if self.background.stopping.is_set():
+            return
+        self._solver_deaths += 1
+        if self._solver_deaths >= _MOST_DEATHS:
+            raise RunError("The optimiser's process died twice on the same graph.") from error
+        self.get_logger().error("The optimiser's process died: starting another.")
+        with self._lock:
+            self._waiting_for_optimum += self._solving_for
+        self._solver = _solver()
 
     def _stamp(self) -> int:
         return int(self.get_clock().now().nanoseconds)
