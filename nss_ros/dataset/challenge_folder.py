@@ -101,19 +101,22 @@ def read_folder(
     )
 
 
-def read_fragment(fragment_id: FragmentId, path: Path, gravity_aligned: bool) -> Fragment:
-    """The fragment of a PLY file, without its non-finite points.
+def read_fragment(
+    fragment_id: FragmentId, path: Path, gravity_aligned: bool
+) -> tuple[Fragment, int]:
+    """The fragment of a PLY file, and how many non-finite points it was cleaned of.
 
     Raises:
         FormatError: the file is not valid, or holds no finite point.
     """
     with np.errstate(over="ignore"):
-        points = clean_points(read_ply(path))
+        vertices = read_ply(path)
+        points = clean_points(vertices)
     if len(points) == 0:
         raise FormatError(
             f"{path} holds no finite point: replace it, or take its node out of the pose graph."
         )
-    return Fragment(fragment_id, points, gravity_aligned)
+    return Fragment(fragment_id, points, gravity_aligned), len(vertices) - len(points)
 
 
 def find_points(folder: Path, name: str) -> Path | None:
@@ -133,6 +136,8 @@ def _selected_graphs(folder: Path, pattern: str | None) -> list[ChallengeGraph]:
             graphs += read_graphs(file)
         else:
             graphs += [g for g in _graphs_or_none(file) if fnmatch(g.name, pattern)]
+    if not graphs and pattern is None:
+        raise InputError(f"The JSON files in {folder} hold no pose graph: their lists are empty.")
     if not graphs:
         raise InputError(
             f"No pose graph in {folder} matches '{pattern}': its files are "
