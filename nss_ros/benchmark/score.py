@@ -164,8 +164,8 @@ def score_log(log: Log) -> LogScore:
     graphs = [graph for graph in log.ground_truth if graph.edges or graph.poses()]
     if not graphs:
         raise InputError(
-            f"{log.path} holds no ground truth, so it cannot be scored: map a bag with known poses, "
-            "or export the log with 'nss export' for the challenge's server."
+            f"{log.path} holds no ground truth, so it cannot be scored: map a bag with known "
+            "poses, or export the log with 'nss export' for the challenge's server."
         )
     if not log.relative_transforms and log.pose_graph is None:
         raise InputError(
