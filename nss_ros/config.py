@@ -59,14 +59,24 @@ class FpfhConfig(Section):
     """FPFH features (Rusu et al. 2009) and feature matching."""
 
     voxel_size: Positive = Field(
-        0.1, description="Voxel size of the points that are described, metres"
+        0.05, description="Voxel size of the points that are described, metres"
     )
-    normal_radius: Positive = Field(0.25, description="Neighbourhood of normals, metres")
-    feature_radius: Positive = Field(0.6, description="Neighbourhood of the descriptor, metres")
+    normal_radius: Positive = Field(0.15, description="Neighbourhood of normals, metres")
+    feature_radius: Positive = Field(0.4, description="Neighbourhood of the descriptor, metres")
+    max_keypoints: int = Field(
+        5000, gt=0, description="Described points kept for matching, those of the least flat places"
+    )
     inlier_distance: Positive = Field(
-        0.15, description="Correspondences closer than this agree, metres"
+        0.1, description="Correspondences closer than this agree, metres"
     )
-    ransac_iterations: int = Field(100_000, gt=0, description="Most RANSAC hypotheses per pair")
+    use_gravity: bool = Field(
+        True,
+        description="RANSAC of two levelled fragments looks for yaw and translation only",
+    )
+    hypotheses: int = Field(
+        5, gt=0, description="RANSAC hypotheses that are compared by the points' overlap"
+    )
+    ransac_iterations: int = Field(100_000, gt=0, description="Most RANSAC samples per pair")
     ransac_confidence: Fraction = Field(
         0.999, description="RANSAC stops at this probability of success"
     )
@@ -77,9 +87,10 @@ class IcpConfig(Section):
     """Point-to-plane refinement."""
 
     max_distance: Positive = Field(
-        0.15, description="Longest correspondence of the last level, metres"
+        0.1, description="Longest correspondence of the last level, metres; twice that at first"
     )
     iterations: int = Field(40, gt=0, description="Most iterations per level")
+    max_points: int = Field(4000, gt=0, description="Source points used, evenly taken")
 
 
 class RegistrationConfig(Section):
@@ -146,10 +157,9 @@ class MultiwayConfig(Section):
     max_tilt: Positive = Field(
         3.0, description="Levelled edges tilted by more than this are rejected at once, degrees"
     )
-    triangle_translation: Positive = Field(
-        0.4, description="A triangle of edges supports them if it closes within this, metres"
-    )
-    triangle_rotation: Positive = Field(6.0, description="... and within this, degrees")
+    loop_translation: Positive = Field(0.4, description="A loop of edges closes if it misses by no more than this, metres")
+    loop_rotation: Positive = Field(6.0, description="... and by no more than this, degrees")
+    bridge_confidence: Fraction = Field(0.5, description="An edge that no loop confirms needs this confidence to link two parts of the map")
 
 
 class PoseGraphConfig(MultiwayConfig):

@@ -1,0 +1,294 @@
+"""Robust pose-graph optimisation with line processes (Choi, Zhou, Koltun: CVPR 2015).
+
+The optimiser is Open3D's. Two things are ours, because without them it fails on graphs of
+aliased buildings (METHODS): the start, a spanning tree grown by triangle support, since the line
+process judges the edges on the initial poses; and the check of every residual afterwards, since
+Open3D's rotation residual is the sine of the angle, which is zero for a flip by 180 degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nss_ros.config import MultiwayConfig
+from nss_ros.fragment import FragmentId
+from nss_ros.geometry import (
+    Matrix,
+    Transform,
+    adjoint,
+    inverse,
+    relative,
+    rotation_angle,
+    tilt_angle,
+)
+from nss_ros.multiway.covariance import pose_covariances
+from nss_ros.multiway.pose_graph import (
+    Edge,
+    EdgeStatus,
+    Measurement,
+    Node,
+    NodeStatus,
+    PoseGraph,
+)
+from nss_ros.multiway.spanning_tree import Poses, anchored, components, spanning_tree_poses
+from nss_ros.multiway.triangles import triangle_support
+
+# Open3D orders rotation before translation.
+_OPEN3D_ORDER = np.array([3, 4, 5, 0, 1, 2])
+_MOST_ROUNDS = 4
+
+
+class Choi:
+    """Line-process optimisation of each connected component.
+
+    Args:
+        config: settings.
+    """
+
+    name = "choi"
+
+    def __init__(self, config: MultiwayConfig) -> None:
+        self._config = config
+
+    def synchronize(
+        self, fragments: Sequence[FragmentId], measurements: Sequence[Measurement]
+    ) -> PoseGraph:
+        """Poses of all fragments; see `Synchronizer.synchronize`."""
+        ids = sorted(set(fragments))
+        edges = [_Judged(m) for m in sorted(measurements, key=_canonical)]
+        self._reject_at_once(edges, set(ids))
+        support = self._support([edge.measurement for edge in edges if edge.accepted])
+        for edge, count in zip([e for e in edges if e.accepted], support, strict=True):
+            edge.support = int(count)
+        poses: Poses = {}
+        for _ in range(_MOST_ROUNDS):
+            poses = self._optimise(ids, edges)
+            if not self._judge(edges, poses):
+                break
+        self._reject_bridges(ids, edges)
+        return _graph(ids, edges, poses, self.name)
+
+    def _reject_at_once(self, edges: list[_Judged], known: set[FragmentId]) -> None:
+        limit = np.deg2rad(self._config.max_tilt)
+        for edge in edges:
+            m = edge.measurement
+            if m.pair.source not in known or m.pair.target not in known:
+                edge.reject("unknown fragment")
+            elif m.manual:
+                continue
+            elif m.confidence < self._config.min_confidence:
+                edge.reject(f"confidence {m.confidence:.2f} is below min_confidence")
+            elif m.level and (tilt := tilt_angle(m.T_target_source)) > limit:
+                edge.reject(f"tilts levelled fragments by {np.rad2deg(tilt):.1f} deg")
+
+    def _support(self, measurements: list[Measurement]) -> NDArray[np.int64]:
+        rotation = np.deg2rad(self._config.loop_rotation)
+        return triangle_support(measurements, self._config.loop_translation, rotation)
+
+    def _optimise(self, ids: list[FragmentId], edges: list[_Judged]) -> Poses:
+        """Poses of every fragment, each component in the frame of its first one."""
+        active = [edge for edge in edges if edge.accepted]
+        poses: Poses = {}
+        for members in components(ids, [edge.measurement for edge in active]):
+            inside = set(members)
+            own = [edge for edge in active if edge.measurement.pair.source in inside]
+            ranks = np.array([self._rank(edge) for edge in own]).reshape(len(own), -1)
+            start = spanning_tree_poses(members, [edge.measurement for edge in own], ranks)
+            poses |= self._line_process(members, own, start) if own else start
+        return poses
+
+    def _rank(self, edge: _Judged) -> tuple[float, ...]:
+        m = edge.measurement
+        if self._config.start == "confidence":
+            return (float(m.manual), m.confidence, float(m.inliers))
+        return (float(m.manual), float(edge.support), m.confidence)
+
+    def _line_process(self, members: list[FragmentId], edges: list[_Judged], start: Poses) -> Poses:
+        import open3d as o3d
+
+        registration = o3d.pipelines.registration
+        index = {id_: i for i, id_ in enumerate(members)}
+        graph = registration.PoseGraph()
+        for id_ in members:
+            graph.nodes.append(registration.PoseGraphNode(start[id_]))
+        information = _correspondence_information([edge.measurement for edge in edges])
+        for edge, matrix in zip(edges, information, strict=True):
+            m = edge.measurement
+            graph.edges.append(
+                registration.PoseGraphEdge(
+                    index[m.pair.source],
+                    index[m.pair.target],
+                    m.T_target_source,
+                    matrix[np.ix_(_OPEN3D_ORDER, _OPEN3D_ORDER)],
+                    uncertain=not m.manual,
+                )
+            )
+        option = registration.GlobalOptimizationOption(
+            max_correspondence_distance=self._config.max_distance,
+            edge_prune_threshold=self._config.prune_threshold,
+            preference_loop_closure=self._config.preference,
+            reference_node=0,
+        )
+        with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+            registration.global_optimization(
+                graph,
+                registration.GlobalOptimizationLevenbergMarquardt(),
+                registration.GlobalOptimizationConvergenceCriteria(),
+                option,
+            )
+        poses = {id_: np.array(graph.nodes[i].pose) for id_, i in index.items()}
+        if not all(np.isfinite(pose).all() for pose in poses.values()):
+            poses = start
+        self._weigh(edges, information, poses)
+        return anchored(poses, members[0])
+
+    def _weigh(self, edges: list[_Judged], information: list[Matrix], poses: Poses) -> None:
+        """Line-process weights at the optimum (Choi et al., section 5)."""
+        scale = (
+            self._config.preference
+            * self._config.max_distance**2
+            * float(np.mean([matrix[2, 2] for matrix in information]))
+        )
+        for edge, matrix in zip(edges, information, strict=True):
+            m = edge.measurement
+            error = inverse(m.T_target_source) @ _relative(m, poses)
+            twist = np.concatenate((error[:3, 3], _linearised_rotation(error)))
+            edge.weight = (
+                1.0 if m.manual else float((scale / (scale + twist @ matrix @ twist)) ** 2)
+            )
+
+    def _judge(self, edges: list[_Judged], poses: Poses) -> bool:
+        """Reject the edges that the poses contradict; whether there were any."""
+        rejected = False
+        limit = np.deg2rad(self._config.loop_rotation)
+        for edge in edges:
+            m = edge.measurement
+            if not edge.accepted or m.manual:
+                continue
+            translation, rotation = _residual(m, poses)
+            if translation > self._config.loop_translation or rotation > limit:
+                edge.reject(
+                    f"contradicts the others by {translation:.2f} m, {np.rad2deg(rotation):.1f} deg"
+                )
+            elif edge.weight < self._config.prune_threshold:
+                edge.reject(f"line process {edge.weight:.2f} is below prune_threshold")
+            else:
+                continue
+            rejected = True
+        return rejected
+
+    def _reject_bridges(self, ids: list[FragmentId], edges: list[_Judged]) -> None:
+        """Reject edges that link two parts of the map with nothing to confirm them."""
+        doubtful = [
+            edge
+            for edge in edges
+            if edge.accepted
+            and edge.support == 0
+            and not edge.measurement.manual
+            and edge.measurement.confidence < self._config.bridge_confidence
+        ]
+        for edge in sorted(doubtful, key=lambda e: (e.measurement.confidence, e.measurement.pair)):
+            rest = [e.measurement for e in edges if e.accepted and e is not edge]
+            pair = edge.measurement.pair
+            if not any(pair.source in c and pair.target in c for c in components(ids, rest)):
+                edge.reject("no loop confirms it, and its confidence is below bridge_confidence")
+
+
+@dataclass(slots=True)
+class _Judged:
+    """A measurement and what became of it."""
+
+    measurement: Measurement
+    accepted: bool = True
+    reason: str = ""
+    support: int = 0
+    weight: float = 1.0
+
+    def reject(self, reason: str) -> None:
+        self.accepted, self.reason, self.weight = False, reason, 0.0
+
+
+def _canonical(m: Measurement) -> tuple[object, ...]:
+    return (m.pair, m.manual, m.T_target_source.tobytes())
+
+
+def _correspondence_information(measurements: Iterable[Measurement]) -> list[Matrix]:
+    """Information of source-frame errors, in units of correspondences as Choi et al. use them.
+
+    The covariance gives the shape (how well each direction is observed), the number of inliers
+    the size; the line process is scaled by a distance, so sizes must be counts.
+    """
+    listed = list(measurements)
+    counts = [m.inliers for m in listed if not m.manual and m.inliers > 0]
+    usual = float(np.mean(counts)) if counts else 1.0
+    matrices = []
+    for m in listed:
+        moved = adjoint(m.T_target_source)
+        matrix = moved.T @ m.information @ moved
+        count = usual * 10 if m.manual else max(float(m.inliers), 1.0)
+        matrices.append(matrix * count / float(np.mean(np.diag(matrix)[:3])))
+    return matrices
+
+
+def _linearised_rotation(error: Transform) -> NDArray[np.float64]:
+    return (
+        np.array([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]])
+        / 2
+    )
+
+
+def _relative(m: Measurement, poses: Poses) -> Transform:
+    return relative(poses[m.pair.source], poses[m.pair.target])
+
+
+def _residual(m: Measurement, poses: Poses) -> tuple[float, float]:
+    """Distance (m) and angle (rad) between measured and optimised `T_target_source`."""
+    error = inverse(m.T_target_source) @ _relative(m, poses)
+    return float(np.linalg.norm(error[:3, 3])), rotation_angle(error)
+
+
+def _graph(ids: list[FragmentId], edges: list[_Judged], poses: Poses, name: str) -> PoseGraph:
+    accepted = [edge.measurement for edge in edges if edge.accepted]
+    nodes: list[Node] = []
+    component: dict[FragmentId, int] = {}
+    for number, members in enumerate(components(ids, accepted)):
+        component |= dict.fromkeys(members, number)
+        if len(members) == 1:
+            nodes.append(Node(members[0]))
+            continue
+        own = anchored({id_: poses[id_] for id_ in members}, members[0])
+        inside = [m for m in accepted if component.get(m.pair.source) == number]
+        covariances = pose_covariances(members, inside, own)
+        nodes += [
+            Node(id_, own[id_], NodeStatus.PLACED, number, covariances[id_]) for id_ in members
+        ]
+    nodes.sort(key=lambda node: node.id)
+    placed = {node.id for node in nodes if node.status is NodeStatus.PLACED}
+    return PoseGraph(
+        tuple(nodes),
+        tuple(_edge(edge, component, placed, poses) for edge in edges),
+        synchronizer=name,
+    )
+
+
+def _edge(
+    edge: _Judged, component: dict[FragmentId, int], placed: set[FragmentId], poses: Poses
+) -> Edge:
+    m = edge.measurement
+    ends = (m.pair.source, m.pair.target)
+    together = all(id_ in placed for id_ in ends) and component[ends[0]] == component[ends[1]]
+    translation, rotation = _residual(m, poses) if together else (float("nan"), float("nan"))
+    return Edge(
+        m.pair,
+        m.T_target_source,
+        m.kind,
+        EdgeStatus.ACCEPTED if edge.accepted else EdgeStatus.REJECTED,
+        edge.reason,
+        residual_translation=translation,
+        residual_rotation=rotation,
+        weight=edge.weight,
+    )
