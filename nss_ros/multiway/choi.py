@@ -34,7 +34,13 @@ from nss_ros.multiway.pose_graph import (
     NodeStatus,
     PoseGraph,
 )
-from nss_ros.multiway.spanning_tree import Poses, anchored, components, spanning_tree_poses
+from nss_ros.multiway.spanning_tree import (
+    Closeness,
+    Poses,
+    anchored,
+    components,
+    spanning_tree_poses,
+)
 from nss_ros.multiway.triangles import triangle_support
 
 # Open3D orders rotation before translation.
@@ -97,9 +103,19 @@ class Choi:
             inside = set(members)
             own = [edge for edge in active if edge.measurement.pair.source in inside]
             ranks = np.array([self._rank(edge) for edge in own]).reshape(len(own), -1)
-            start = spanning_tree_poses(members, [edge.measurement for edge in own], ranks)
-            poses |= self._line_process(members, own, start) if own else start
+            if not own:
+                poses[members[0]] = np.eye(4)
+                continue
+            start = spanning_tree_poses(
+                members, [edge.measurement for edge in own], ranks, self._votes()
+            )
+            poses |= self._line_process(members, own, start)
         return poses
+
+    def _votes(self) -> Closeness | None:
+        if self._config.start == "confidence":
+            return None
+        return Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
 
     def _rank(self, edge: _Judged) -> tuple[float, ...]:
         m = edge.measurement
