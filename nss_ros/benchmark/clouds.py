@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from nss_ros.benchmark import metrics
-from nss_ros.benchmark.metrics import Floats, NearestNeighbours
+from nss_ros.benchmark.metrics import Floats, correspondences
 from nss_ros.dataset.challenge_folder import find_points
 from nss_ros.dataset.ply import read_ply
 from nss_ros.errors import FormatError, InputError
@@ -27,7 +26,7 @@ class Clouds:
     def __init__(self, load: Callable[[str], Floats]) -> None:
         self._load = load
         self._points: dict[str, Floats] = {}
-        self._trees: dict[str, Any] = {}
+        self._trees: dict[str, cKDTree] = {}
 
     def points(self, name: str) -> Floats:
         """The points of a cloud, (n, 3) float64, metres."""
@@ -35,30 +34,16 @@ class Clouds:
             self._points[name] = self._load(name)
         return self._points[name]
 
-    def _nearest_in(self, name: str) -> NearestNeighbours:
-        """Distances and indices of the points of a cloud that are nearest to given ones."""
+    def _tree(self, name: str) -> cKDTree:
         if name not in self._trees:
-            # The official evaluator's tree, so that distances at the threshold round alike.
-            from sklearn.neighbors import KDTree  # noqa: PLC0415 - takes a second to import
-
-            self._trees[name] = KDTree(self.points(name))
-        tree = self._trees[name]
-
-        def nearest(points: Floats) -> tuple[Floats, Any]:
-            distances, indices = tree.query(points, k=1, return_distance=True)
-            return distances[:, 0], indices[:, 0]
-
-        return nearest
+            self._trees[name] = cKDTree(self.points(name))
+        return self._trees[name]
 
     def correspondences(
         self, source: str, target: str, T_target_source: Transform
     ) -> NDArray[np.intp]:
         """Indices (source, target) of points that coincide under the ground truth, (n, 2)."""
-        if not len(self.points(source)) or not len(self.points(target)):
-            return np.zeros((0, 2), dtype=np.intp)
-        return metrics.correspondences(
-            self.points(source), self._nearest_in(target), T_target_source
-        )
+        return correspondences(self.points(source), self._tree(target), T_target_source)
 
 
 def clouds_in(folder: Path) -> Clouds:

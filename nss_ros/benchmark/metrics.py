@@ -8,10 +8,9 @@ the evaluator of its challenge where the two differ.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from nss_ros.geometry import Transform, transform_points
 
@@ -25,7 +24,6 @@ CORRESPONDENCE_DISTANCE = 0.1
 """Points closer than this under the ground truth correspond, metres."""
 
 Floats = NDArray[np.float64]
-NearestNeighbours = Callable[[Floats], tuple[Floats, NDArray[np.intp]]]
 
 
 def rotation_error(ground_truth: Transform, estimate: Transform) -> Floats:
@@ -83,7 +81,7 @@ def rmse(points: Floats, others: Floats) -> float:
 
 
 def correspondences(
-    source: Floats, nearest_in_target: NearestNeighbours, T_target_source: Transform
+    source: Floats, target: cKDTree, T_target_source: Transform
 ) -> NDArray[np.intp]:
     """Indices (source, target) of points that coincide under the ground truth, (n, 2).
 
@@ -91,10 +89,14 @@ def correspondences(
 
     Args:
         source: (n, 3), metres, source frame.
-        nearest_in_target: gives distances and indices of the nearest target points of (n, 3).
+        target: search tree of the target's points.
         T_target_source: the ground truth T*.
     """
-    distances, indices = nearest_in_target(transform_points(T_target_source, source))
+    # The bound, a little larger so that only the comparison below decides, makes this fast.
+    distances, indices = target.query(
+        transform_points(T_target_source, source),
+        distance_upper_bound=CORRESPONDENCE_DISTANCE * (1 + 1e-6),
+    )
     close = distances < CORRESPONDENCE_DISTANCE
     return np.column_stack((np.flatnonzero(close), indices[close]))
 

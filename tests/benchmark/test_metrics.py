@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from sklearn.neighbors import KDTree
+from scipy.spatial import cKDTree
 
 from nss_ros.benchmark.metrics import (
     correspondences,
@@ -21,16 +21,6 @@ from nss_ros.geometry import exponential, from_yaw, inverse, transform_points
 twists = arrays(np.float64, 6, elements=st.floats(-3, 3))
 transforms = st.builds(exponential, twists)
 clouds = arrays(np.float64, (12, 3), elements=st.floats(-5, 5))
-
-
-def nearest(points):
-    tree = KDTree(points)
-
-    def query(queries):
-        distances, indices = tree.query(queries, k=1)
-        return distances[:, 0], indices[:, 0]
-
-    return query
 
 
 @given(transforms)
@@ -89,7 +79,7 @@ def test_rmse_does_not_depend_on_the_frame(points, estimate, motion):
 @given(clouds, transforms, arrays(np.float64, 3, elements=st.floats(-2, 2)))
 def test_pairwise_rmse_of_a_shifted_estimate_is_the_shift(points, truth, shift):
     source = transform_points(inverse(truth), points)
-    pairs = correspondences(source, nearest(points), truth)
+    pairs = correspondences(source, cKDTree(points), truth)
     assert pairs[:, 0].tolist() == list(range(len(points)))
     estimate = truth.copy()
     estimate[:3, 3] += shift
@@ -101,9 +91,9 @@ def test_pairwise_rmse_of_a_shifted_estimate_is_the_shift(points, truth, shift):
 def test_only_near_points_correspond():
     target = np.array([[0.0, 0, 0], [1, 0, 0]])
     source = np.array([[0.0, 0, 0.099], [1, 0.101, 0], [7, 7, 7]])
-    pairs = correspondences(source, nearest(target), np.eye(4))
+    pairs = correspondences(source, cKDTree(target), np.eye(4))
     assert pairs.tolist() == [[0, 0]]
-    far = correspondences(source + 100, nearest(target), np.eye(4))
+    far = correspondences(source + 100, cKDTree(target), np.eye(4))
     assert pairwise_rmse(source, target, far, np.eye(4)) == np.inf
 
 

@@ -40,7 +40,7 @@ def official():
     pytest.importorskip("sklearn.neighbors")
     pytest.importorskip("open3d")
     sys.path.insert(0, checkout)
-    from nss_challenge import evaluate_registration  # noqa: PLC0415
+    from nss_challenge import evaluate_registration
 
     yield evaluate_registration
     sys.path.remove(checkout)

@@ -32,7 +32,7 @@ def perfect_log(room, **changes) -> Log:
     )
     log = Log(
         path=Path("log"),
-        fragments={fragment.id: fragment for fragment in room.fragments},
+        fragments={f.id: replace(f, points=f.points[::20]) for f in room.fragments},
         pairs=tuple(room.pairs),
         relative_transforms=answers,
         ground_truth=(room.ground_truth,),
@@ -79,7 +79,7 @@ def test_the_truth_scores_perfectly(room):
             assert edge.recall == edge.recall_challenge == 100.0
             assert edge.rte < 1e-9
             assert edge.rre < 1e-5
-            assert edge.rmse < 0.05
+            assert edge.rmse < 0.1
     assert overall.map.placed == overall.map.fragments == 6
     assert overall.map.components == 1
     assert overall.map.outlier_f1 == overall.map.coverage == 100.0
@@ -122,13 +122,14 @@ def test_an_edge_that_was_registered_in_the_other_direction(room):
 
 
 def test_an_unplaced_fragment_costs_recall_and_coverage(room):
-    score = score_log(drop_fragment(perfect_log(room), 2))
+    log = drop_fragment(perfect_log(room), 2)
+    score = score_log(log)
     edges = score.overall.multiway.all
     assert (edges.edges, edges.answered) == (15, 10)
     assert edges.recall == pytest.approx(10 / 15 * 100)
     figures = score.overall.map
     assert (figures.placed, figures.fragments) == (5, 6)
-    points = [len(fragment.points) for fragment in room.fragments]
+    points = [len(fragment.points) for fragment in log.fragments.values()]
     assert figures.coverage == pytest.approx((1 - points[2] / sum(points)) * 100)
     assert figures.global_rmse < 1e-9
     assert figures.official_global_rmse > 0.1
