@@ -102,10 +102,10 @@ class Choi:
         for members in components(ids, [edge.measurement for edge in active]):
             inside = set(members)
             own = [edge for edge in active if edge.measurement.pair.source in inside]
-            ranks = np.array([self._rank(edge) for edge in own]).reshape(len(own), -1)
             if not own:
                 poses[members[0]] = np.eye(4)
                 continue
+            ranks = np.array([self._rank(edge) for edge in own])
             start = spanning_tree_poses(
                 members, [edge.measurement for edge in own], ranks, self._votes()
             )
