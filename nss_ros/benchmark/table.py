@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
 
+from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -20,6 +21,10 @@ OFFICIAL_NAMES = {
     "translation_error": ("Average Translation Error", "m"),
     "rotation_error": ("Average Rotation Error", "deg"),
 }
+_LEGEND = (
+    "Recall and F1 in percent, RTE and RMSE in metres, RRE in degrees. Recall: RRE <= 10 deg and "
+    "RTE as stated. RTE, RRE: mean over successes (0.2 m); all: over all answered edges."
+)
 _SUBSET_NAMES = {"all": "all", "same_stage": "same stage", "different_stage": "different stage"}
 
 
@@ -28,6 +33,7 @@ def log_tables(score: LogScore) -> RenderableType:
     # With a single graph its rows would repeat the overall ones.
     graphs = (*score.graphs, score.overall) if len(score.graphs) > 1 else score.graphs
     parts: list[RenderableType] = list(_banners(score))
+    parts.append(Text(_LEGEND, "dim"))
     parts.append(
         _edge_table("Pairwise: relative transforms", [(g.name, g.pairwise) for g in graphs])
     )
@@ -64,54 +70,53 @@ def _banners(score: LogScore) -> Iterable[Text]:
         yield Text("The log holds no point clouds of these graphs: no RMSE.", "yellow")
 
 
-def _edge_table(title: str, rows: Iterable[tuple[str, Subsets]]) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column("graph")
-    table.add_column("edges of")
+def _edge_table(title: str, rows: Sequence[tuple[str, Subsets]]) -> Table:
+    table = _table(title)
+    table.add_column("between", no_wrap=True)
     for column in (
-        "edges", "answered", "recall [%]\n10°, 0.2 m", "recall [%]\n10°, 0.1 m",
-        "RTE [m]\nsuccess", "RRE [°]\nsuccess", "RTE [m]\nanswered", "RRE [°]\nanswered",
-        "RMSE [m]",
+        "edges\nanswered", "recall\n0.2 m", "recall\n0.1 m", "RTE", "RRE", "RTE\nall", "RRE\nall",
+        "RMSE",
     ):  # fmt: skip
         table.add_column(column, justify="right")
     for name, subsets in rows:
+        if len(rows) > 1:
+            table.add_row(Text(name, "bold"))
         for attribute, label in _SUBSET_NAMES.items():
             edge = getattr(subsets, attribute)
-            first = name if attribute == "all" else ""
             table.add_row(
-                first, label, str(edge.edges), str(edge.answered),
+                label, f"{edge.answered}/{edge.edges}",
                 _number(edge.recall, 1), _number(edge.recall_challenge, 1),
-                _number(edge.rte), _number(edge.rre, 2),
-                _number(edge.rte_answered), _number(edge.rre_answered, 2), _number(edge.rmse),
-                end_section=attribute == "different_stage",
+                _number(edge.rte, 3), _number(edge.rre, 2),
+                _number(edge.rte_answered, 3), _number(edge.rre_answered, 2),
+                _number(edge.rmse, 3),
             )  # fmt: skip
     return table
 
 
 def _map_table(graphs: Iterable[GraphScore]) -> Table:
-    table = Table(title="Map", title_justify="left", title_style="bold")
-    table.add_column("graph")
+    table = _table("Map")
+    table.add_column("graph", no_wrap=True)
     for column in (
-        "placed", "components", "outlier F1 [%]", "global RMSE [m]\nplaced fragments",
-        "coverage [%]\nof points", "global RMSE [m]\nofficial",
+        "placed", "components", "outlier\nF1", "global\nRMSE", "coverage\nof points",
+        "official\nglobal RMSE",
     ):  # fmt: skip
         table.add_column(column, justify="right")
     for graph in graphs:
         if graph.map is not None:
             table.add_row(
                 graph.name,
-                f"{graph.map.placed} / {graph.map.fragments}",
+                f"{graph.map.placed}/{graph.map.fragments}",
                 str(graph.map.components),
                 _number(graph.map.outlier_f1, 1),
-                _number(graph.map.global_rmse),
+                _number(graph.map.global_rmse, 3),
                 _number(graph.map.coverage, 1),
-                _number(graph.map.official_global_rmse),
+                _number(graph.map.official_global_rmse, 3),
             )
     return table
 
 
 def _challenge_table(title: str, subsets: Mapping[str, ChallengeMetrics]) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold")
+    table = _table(title)
     table.add_column("official metric")
     for subset in SUBSETS:
         table.add_column(subset, justify="right")
@@ -122,7 +127,17 @@ def _challenge_table(title: str, subsets: Mapping[str, ChallengeMetrics]) -> Tab
     return table
 
 
-def _number(value: float, digits: int = 4) -> str:
+def _table(title: str) -> Table:
+    return Table(
+        title=title,
+        title_justify="left",
+        title_style="bold",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 0, 0, 1),
+    )
+
+
+def _number(value: float, digits: int) -> str:
     if isfinite(value):
         return f"{value:.{digits}f}"
     return "inf" if value == float("inf") else "-"

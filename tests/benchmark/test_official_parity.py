@@ -109,6 +109,8 @@ def random_prediction(rng, target):
     style = rng.integers(6)
     if style == 5:  # a node was forgotten
         nodes.pop(int(rng.integers(len(nodes))))
+    if rng.random() < 0.05:  # a node too many shifts the outlier mask
+        nodes.insert(int(rng.integers(len(nodes))), {"id": 99, "global_transform": ZERO})
     prediction = {"name": target["name"], "nodes": nodes}
     if style == 0:
         return prediction
