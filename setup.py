@@ -1,8 +1,13 @@
-from glob import glob
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 package_name = "nss_ros"
+
+
+def files(folder: str, pattern: str) -> list[str]:
+    return sorted(str(path) for path in Path(folder).glob(pattern) if path.is_file())
+
 
 setup(
     name=package_name,
@@ -19,8 +24,8 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
-        (f"share/{package_name}/launch", glob("launch/*.launch.py")),
-        (f"share/{package_name}/config", glob("config/*")),
+        (f"share/{package_name}/launch", files("launch", "*.launch.py")),
+        (f"share/{package_name}/config", files("config", "*")),
     ],
     install_requires=[
         "setuptools",
@@ -35,6 +40,7 @@ setup(
         "typer",
         "zstandard",
     ],
+    extras_require={"test": ["hypothesis", "pytest"]},  # makes colcon test run pytest
     zip_safe=False,
     entry_points={
         "console_scripts": [
