@@ -1,0 +1,175 @@
+"""Registration by FPFH features: the classical baselines of the benchmark.
+
+`FpfhRansac` and `FpfhFgr` share description, mutual matching, ICP and validation, and differ in
+how they find the transform on which the matches agree.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nss_ros.config import RegistrationConfig
+from nss_ros.fragment import Fragment, FragmentPair
+from nss_ros.geometry import Matrix, Transform
+from nss_ros.registration.features import FpfhFeatures, describe
+from nss_ros.registration.fgr import fast_global_registration
+from nss_ros.registration.icp import Refined, Surface, refine
+from nss_ros.registration.matching import mutual_matches
+from nss_ros.registration.ransac import Matches, inlier_mask, ransac
+from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
+from nss_ros.registration.validation import Support, support, verdict
+
+# Candidates are compared after a few iterations on few points, and the best alone is refined.
+_TRIAL_POINTS = 1000
+_TRIAL_ITERATIONS = 10
+_TRIAL_LEVELS = (2.0,)
+# A direction along which the surfaces can slide is unknown by metres, not infinitely.
+_LEAST_INFORMATION = 1e-2
+
+
+class _Fpfh:
+    """What both methods share."""
+
+    name: str
+
+    def __init__(self, config: RegistrationConfig) -> None:
+        self.config = config
+
+    def prepare(self, fragment: Fragment) -> FpfhFeatures:
+        """Voxelised points, normals and FPFH descriptors of a fragment."""
+        return describe(fragment, self.config)
+
+    def register(self, source: FpfhFeatures, target: FpfhFeatures, seed: int) -> RelativeTransform:
+        """`T_target_source` of two prepared fragments; the same seed gives the same bytes."""
+        pair = FragmentPair(source.id, target.id)
+        for features in (source, target):
+            if len(features.points) < self.config.min_points:
+                message = (
+                    f"{features.id} has {len(features.points)} voxelised points, fewer than "
+                    f"{self.config.min_points}."
+                )
+                return failed(pair, self.name, Reason.TOO_FEW_POINTS, message)
+        matches = _matches(source, target)
+        level = source.gravity_aligned and target.gravity_aligned
+        candidates = self._candidates(matches, level, seed)
+        if not candidates:
+            message = f"No transform fits the {len(matches)} matched keypoints."
+            return failed(pair, self.name, Reason.TOO_FEW_INLIERS, message)
+        return self._answer(pair, source, target, matches, candidates, level)
+
+    def _candidates(self, matches: Matches, level: bool, seed: int) -> list[Transform]:
+        raise NotImplementedError
+
+    def _answer(
+        self,
+        pair: FragmentPair,
+        source: FpfhFeatures,
+        target: FpfhFeatures,
+        matches: Matches,
+        candidates: list[Transform],
+        level: bool,
+    ) -> RelativeTransform:
+        config = self.config
+        still = Surface.of(target.points, target.normals)
+        best = self._best(_thinned(source, _TRIAL_POINTS), still, candidates)
+        moving = _thinned(source, config.icp.max_points)
+        refined = refine(moving, still, best, config.icp.max_distance, config.icp.iterations)
+        found = support(moving, still, refined.T_target_source, config)
+        reason, message = verdict(found, refined.T_target_source, level, config)
+        if reason is not Reason.NONE:
+            return failed(pair, self.name, reason, message)
+        agreeing = inlier_mask(matches, refined.T_target_source, config.fpfh.inlier_distance)
+        return RelativeTransform(
+            pair,
+            self.name,
+            T_target_source=refined.T_target_source,
+            covariance=_covariance(refined),
+            overlap_probability=overlap_score(found),
+            confidence=confidence_score(found, int(agreeing.sum())),
+            inliers=found.inliers,
+            inlier_ratio=found.inlier_ratio,
+            rmse=found.rmse,
+        )
+
+    def _best(self, source: Surface, target: Surface, candidates: list[Transform]) -> Transform:
+        """The candidate that is best supported after a short refinement."""
+        if len(candidates) == 1:
+            return candidates[0]
+        distance = self.config.icp.max_distance
+        trials = [
+            refine(source, target, candidate, distance, _TRIAL_ITERATIONS, _TRIAL_LEVELS)
+            for candidate in candidates
+        ]
+        scores = [
+            support(source, target, trial.T_target_source, self.config).score for trial in trials
+        ]
+        return trials[int(np.argmax(scores))].T_target_source
+
+
+class FpfhRansac(_Fpfh):
+    """FPFH, mutual matches, RANSAC, point-to-plane ICP."""
+
+    name = "fpfh_ransac"
+
+    def _candidates(self, matches: Matches, level: bool, seed: int) -> list[Transform]:
+        fpfh = self.config.fpfh
+        found = ransac(
+            matches,
+            fpfh.inlier_distance,
+            fpfh.ransac_iterations,
+            fpfh.ransac_confidence,
+            seed,
+            level and fpfh.use_gravity,
+            fpfh.hypotheses,
+        )
+        return [candidate.T_target_source for candidate in found]
+
+
+class FpfhFgr(_Fpfh):
+    """FPFH, mutual matches, fast global registration, point-to-plane ICP."""
+
+    name = "fpfh_fgr"
+
+    def _candidates(self, matches: Matches, level: bool, seed: int) -> list[Transform]:  # noqa: ARG002
+        fpfh = self.config.fpfh
+        found = fast_global_registration(matches, fpfh.inlier_distance, fpfh.fgr_iterations, seed)
+        return [] if found is None else [found]
+
+
+def overlap_score(found: Support) -> float:
+    """A monotone score in 0..1 that the fragments overlap; not calibrated.
+
+    1 - exp(-score / 0.1): the share of source points on the target's surface after alignment.
+    """
+    return float(1 - np.exp(-found.score / 0.1))
+
+
+def confidence_score(found: Support, agreeing: int) -> float:
+    """A monotone score in 0..1 that the transform is right; not calibrated."""
+    return float(found.agreement * (1 - np.exp(-agreeing / 30)))
+
+
+def _matches(source: FpfhFeatures, target: FpfhFeatures) -> Matches:
+    first, second = mutual_matches(source.descriptors, target.descriptors)
+    return Matches(
+        source.keypoints[first].astype(np.float64),
+        target.keypoints[second].astype(np.float64),
+        source.keypoint_normals[first].astype(np.float64),
+        target.keypoint_normals[second].astype(np.float64),
+    )
+
+
+def _thinned(features: FpfhFeatures, count: int) -> Surface:
+    """At most `count` of a fragment's points, evenly taken."""
+    size = len(features.points)
+    chosen = np.linspace(0, size - 1, min(count, size)).astype(np.int64)
+    return Surface.of(features.points[chosen], features.normals[chosen])
+
+
+def _covariance(refined: Refined) -> Matrix:
+    """The inverse information, with unknown directions bounded so that it is positive definite."""
+    values, vectors = np.linalg.eigh(refined.information)
+    covariance = np.einsum(
+        "ij,j,kj->ik", vectors, 1 / np.maximum(values, _LEAST_INFORMATION), vectors
+    )
+    return np.asarray((covariance + covariance.T) / 2)

@@ -1,0 +1,160 @@
+"""Point-to-plane ICP from coarse to fine (Chen and Medioni 1992), reproducible to the bit.
+
+Open3D's ICP sums in parallel, in an order that differs from run to run; this one does not, and on
+fragments of this size it is as fast.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from nss_ros.geometry import Matrix, Transform, as_transform, exponential
+
+# Each level halves the correspondence distance down to the configured one.
+_LEVELS = (2.0, 1.0)
+_CONVERGED_TRANSLATION = 1e-4
+_CONVERGED_ROTATION = 1e-5
+# Residuals are correlated over patches: one object, one drift of the sensor, one bad normal. Each
+# patch of this size counts as one observation.
+_CORRELATION_LENGTH = 0.5
+# No estimate is taken to be better than the sensor's and the voxels' systematic errors.
+_LEAST_DEVIATION = 0.01
+_NORMAL_COSINE = 0.5
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """Points with normals and their search tree, made once and used for many alignments.
+
+    Attributes:
+        points: (n, 3) float64, metres.
+        normals: (n, 3) float64, unit.
+        tree: of `points`.
+    """
+
+    points: Array
+    normals: Array
+    tree: Any
+
+    @classmethod
+    def of(cls, points: NDArray[np.floating], normals: NDArray[np.floating]) -> Surface:
+        """A surface of points (n, 3) and unit normals (n, 3)."""
+        array = np.asarray(points, dtype=np.float64)
+        return cls(array, np.asarray(normals, dtype=np.float64), cKDTree(array))
+
+
+@dataclass(frozen=True, slots=True)
+class Refined:
+    """Result of ICP.
+
+    Attributes:
+        T_target_source: (4, 4).
+        information: (6, 6) inverse covariance, order x y z rx ry rz, target frame; see `refine`.
+        correspondences: of the last iteration.
+        rmse: root mean square point-to-plane distance of them, metres.
+        converged: the last update was negligible.
+    """
+
+    T_target_source: Transform
+    information: Matrix
+    correspondences: int
+    rmse: float
+    converged: bool
+
+
+def moved_by(transform: Transform, points: Array) -> Array:
+    """Points (n, 3) moved by a transform, rounded the same whatever BLAS library is installed."""
+    return np.asarray(np.einsum("nj,ij->ni", points, transform[:3, :3]) + transform[:3, 3])
+
+
+def refine(
+    source: Surface,
+    target: Surface,
+    T_target_source: Transform,
+    max_distance: float,
+    iterations: int,
+    levels: tuple[float, ...] = _LEVELS,
+) -> Refined:
+    """Refine a transform by point-to-plane ICP.
+
+    The information matrix is the Hessian of the last iteration over the residual variance, scaled
+    by (independent patches / correspondences): neighbouring residuals are correlated, so the
+    source's occupied cells of 0.5 m are counted as the independent observations, not its points.
+
+    Args:
+        source: surface that is moved.
+        target: surface that stays.
+        T_target_source: start.
+        max_distance: longest correspondence of the last level, metres.
+        iterations: most iterations per level.
+        levels: correspondence distance of each level, as multiples of `max_distance`.
+    """
+    transform = T_target_source
+    converged = False
+    for level in levels:
+        for _ in range(iterations):
+            system, _ = _linearize(source, target, transform, level * max_distance)
+            update = np.linalg.lstsq(system.hessian, -system.gradient, rcond=1e-9)[0]
+            transform = as_transform(exponential(update) @ transform)
+            converged = bool(
+                np.linalg.norm(update[:3]) < _CONVERGED_TRANSLATION
+                and np.linalg.norm(update[3:]) < _CONVERGED_ROTATION
+            )
+            if converged or system.count < 6:
+                break
+    system, moved = _linearize(source, target, transform, levels[-1] * max_distance)
+    information = system.information(_patches(moved))
+    return Refined(transform, information, system.count, system.rmse, converged)
+
+
+@dataclass(frozen=True, slots=True)
+class _System:
+    """Gauss-Newton system of one iteration."""
+
+    hessian: Matrix
+    gradient: Array
+    count: int
+    rmse: float
+
+    def information(self, observations: int) -> Matrix:
+        if self.count == 0:
+            return np.zeros((6, 6))
+        variance = max(self.rmse, _LEAST_DEVIATION) ** 2
+        return np.asarray(self.hessian / variance * (observations / self.count))
+
+
+def _linearize(
+    source: Surface, target: Surface, transform: Transform, distance: float
+) -> tuple[_System, Array]:
+    moved = moved_by(transform, source.points)
+    _, nearest = target.tree.query(moved, distance_upper_bound=distance)
+    found = np.flatnonzero(nearest < len(target.points))
+    moved, matched = moved[found], nearest[found]
+    normals = target.normals[matched]
+    turned = np.einsum("nj,ij->ni", source.normals[found], transform[:3, :3])
+    facing = np.einsum("ij,ij->i", turned, normals) > _NORMAL_COSINE
+    moved, matched, normals = moved[facing], matched[facing], normals[facing]
+    residuals = np.einsum("ij,ij->i", moved - target.points[matched], normals)
+    jacobian = np.hstack((normals, np.cross(moved, normals)))
+    system = _System(
+        hessian=np.einsum("ni,nj->ij", jacobian, jacobian),
+        gradient=np.einsum("ni,n->i", jacobian, residuals),
+        count=len(residuals),
+        rmse=float(np.sqrt(np.mean(residuals**2))) if len(residuals) else 0.0,
+    )
+    return system, moved
+    return system, moved
+
+
+def _patches(points: Array) -> int:
+    if len(points) == 0:
+        return 0
+    cells = np.floor(points / _CORRELATION_LENGTH).astype(np.int64)
+    return len(np.unique(cells, axis=0))
