@@ -84,7 +84,7 @@ def _box_points(rng: np.random.Generator, low: np.ndarray, high: np.ndarray) -> 
     faces = []
     for axis in range(3):
         others = [i for i in range(3) if i != axis]
-        count = int(np.prod((high - low)[others]) * 500)
+        count = int(np.prod((high - low)[others]) * 150)
         for value in (low[axis], high[axis]):
             points = rng.uniform(low, high, (count, 3))
             points[:, axis] = value

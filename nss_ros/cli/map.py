@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -146,9 +147,9 @@ def _metres(value: float) -> str:
     return f"{value:.3f} m" if math.isfinite(value) else "-"
 
 
-def _import_mapping():  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _import_mapping() -> Callable[..., RunProgress]:
     try:
-        from nss_ros.nodes.mapping import run_mapping  # noqa: PLC0415 - the core runs without ROS
+        from nss_ros.nodes.mapping import run_mapping
     except ImportError as error:
         raise InputError(
             f"This command needs ROS 2 Jazzy and the package nss_msgs ({error}): run it as "

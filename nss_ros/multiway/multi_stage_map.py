@@ -100,7 +100,6 @@ class MultiStageMap:
         self.constraints[pair] = Measurement(
             pair, T_target_source, np.asarray(np.linalg.inv(covariance)), manual=True
         )
-        self._excluded.discard(pair)
         self.version += 1
 
     def remove_constraint(self, pair: FragmentPair) -> bool:

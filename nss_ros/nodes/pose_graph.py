@@ -18,7 +18,6 @@ from queue import Empty, SimpleQueue
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
@@ -77,7 +76,7 @@ class PoseGraphNode(Node):
         self._map = MultiStageMap(self._config.map_voxel_size)
         self._graph = PoseGraph(synchronizer=self._config.synchronizer)
         self._fragments_in: SimpleQueue[Fragment] = SimpleQueue()
-        self._waiting_for_optimum: list[Future] = []
+        self._waiting_for_optimum: list[threading.Event] = []
         self._solved_version = 0
         self._settled = True
         self._last_change = self._last_solve = time.monotonic()
@@ -86,7 +85,7 @@ class PoseGraphNode(Node):
         self._solver_deaths = 0
         self._solution: SolutionFuture[PoseGraph] | None = None
         self._solving_version = 0
-        self._solving_for: list[Future] = []
+        self._solving_for: list[threading.Event] = []
         self._create_publishers()
         self._create_subscriptions()
         self._create_services()
@@ -252,13 +251,21 @@ class PoseGraphNode(Node):
             response.message = f"No constraint and no relative transform links {pair}."
         return response
 
-    async def _on_optimize(self, _: Trigger.Request, response: Trigger.Response) -> object:
-        done: Future = Future()
+    def _on_optimize(self, _: Trigger.Request, response: Trigger.Response) -> object:
+        """Answer when the optimum is there.
+
+        Waiting holds the executor, but nothing is lost: DDS keeps what comes, and a coroutine
+        that awaits here would make Jazzy's executor spin without pause.
+        """
+        done = threading.Event()
         with self._lock:
             self._map.version += 1
             self._waiting_for_optimum.append(done)
             self._changed()
-        await done
+        while not done.wait(_POLL):
+            if self.background.error is not None or self.background.stopping.is_set():
+                response.message = "The node is being stopped."
+                return response
         graph = self._graph
         response.success = True
         response.message = (
@@ -359,7 +366,7 @@ class PoseGraphNode(Node):
         self._publish_graph()
         self._publish_map()
         for done in self._solving_for:
-            done.set_result(None)
+            done.set()
 
     def _restart_solver(self, error: BrokenProcessPool) -> None:
         if self.background.stopping.is_set():
