@@ -74,9 +74,9 @@ class FpfhConfig(Section):
         description="RANSAC of two levelled fragments looks for yaw and translation only",
     )
     hypotheses: int = Field(
-        5, gt=0, description="RANSAC hypotheses that are compared by the points' overlap"
+        1, gt=0, description="RANSAC hypotheses that are compared by the points' overlap"
     )
-    ransac_iterations: int = Field(100_000, gt=0, description="Most RANSAC samples per pair")
+    ransac_iterations: int = Field(500_000, gt=0, description="Most RANSAC samples per pair")
     ransac_confidence: Fraction = Field(
         0.999, description="RANSAC stops at this probability of success"
     )
@@ -157,9 +157,14 @@ class MultiwayConfig(Section):
     max_tilt: Positive = Field(
         3.0, description="Levelled edges tilted by more than this are rejected at once, degrees"
     )
-    loop_translation: Positive = Field(0.4, description="A loop of edges closes if it misses by no more than this, metres")
+    loop_translation: Positive = Field(
+        0.4, description="A loop of edges closes if it misses by no more than this, metres"
+    )
     loop_rotation: Positive = Field(6.0, description="... and by no more than this, degrees")
-    bridge_confidence: Fraction = Field(0.5, description="An edge that no loop confirms needs this confidence to link two parts of the map")
+    bridge_confidence: Fraction = Field(
+        0.5,
+        description="An edge that no loop confirms needs this confidence to link two parts of the map",
+    )
 
 
 class PoseGraphConfig(MultiwayConfig):
@@ -215,8 +220,11 @@ class ViewpointConfig(Section):
         0.25, description="Clearance that a person needs to get through, metres"
     )
     min_spacing: Positive = Field(1.5, description="Least distance between spots, metres")
+    usual_spacing: Positive = Field(
+        2.5, description="Usual longest distance to an earlier spot in sight, metres"
+    )
     max_spacing: Positive = Field(
-        3.0, description="Longest distance to the nearest earlier spot in sight, metres"
+        4.0, description="... and when there is no place left nearer than that, metres"
     )
 
 
@@ -253,7 +261,9 @@ class SimulationConfig(Section):
 
     seed: int = Field(0, ge=0, description="Same seed and settings, same points")
     area: str = Field("1", pattern=r"^[A-Za-z0-9.-]+$", description="Area of the fragment ids")
-    voxel_size: Positive = Field(0.05, description="Voxel size of the fragments, metres")
+    voxel_size: Positive = Field(
+        0.075, description="Voxel size of the fragments, as in the NSS release, metres"
+    )
     overlap_distance: Positive = Field(
         0.2, description="Distance at which points count as overlapping (tau), metres"
     )

@@ -1,0 +1,123 @@
+import numpy as np
+import pytest
+
+from nss_ros.config import RigConfig
+from nss_ros.geometry import from_yaw, tilt_angle, transform_points
+from nss_ros.simulation.mesh import box, merge
+from nss_ros.simulation.rig import draw_pose, image_directions, image_rotations, scan
+from nss_ros.simulation.scene import Scene
+
+EXACT = RigConfig(
+    axial_noise=0, disparity_step=0, lateral_noise=0, dropout=0, grazing_start=89.9, grazing_end=90
+)
+LOWER, UPPER = np.array([-2.0, -1.5, 0.0]), np.array([2.0, 2.5, 3.0])
+POSE = from_yaw(0.7, (0.3, 0.2, 1.6))
+
+
+@pytest.fixture(scope="module")
+def room():
+    """Six walls around an empty room."""
+    thick = 0.1
+    low, high = LOWER - thick, UPPER + thick
+    slabs = []
+    for axis in range(3):
+        for inner, outer in ((LOWER, low), (UPPER, high)):
+            a, b = low.copy(), high.copy()
+            a[axis], b[axis] = sorted((inner[axis], outer[axis]))
+            slabs.append(box(a, b))
+    return Scene(merge(slabs))
+
+
+def distance_from_walls(points):
+    return np.abs(np.concatenate((points - LOWER, points - UPPER), axis=1)).min(axis=1)
+
+
+def test_an_exact_scan_lies_on_the_walls_in_the_sensor_frame(room):
+    points = transform_points(POSE, scan(room, POSE, EXACT, np.random.default_rng(0)))
+    assert len(points) > 0.9 * 18 * 160 * 120
+    assert distance_from_walls(points).max() < 1e-4
+
+
+def test_images_look_where_the_rig_says():
+    directions = image_directions(RigConfig())
+    angles = np.degrees(np.arctan(np.abs(directions[:, 1:]).max(axis=0)))
+    assert 28 < angles[0] < 29
+    assert 22 < angles[1] < 22.5
+    axes = image_rotations() @ [1.0, 0.0, 0.0]
+    assert sorted(np.round(np.degrees(np.arcsin(axes[:, 2])))) == [-30] * 6 + [0] * 6 + [30] * 6
+    azimuths = np.degrees(np.arctan2(axes[:, 1], axes[:, 0])) % 360
+    assert sorted(np.round(azimuths) % 360) == sorted([0, 60, 120, 180, 240, 300] * 3)
+    upright = image_rotations() @ [0.0, 0.0, 1.0]
+    assert (upright[:, 2] > 0.8).all()
+
+
+def test_the_field_of_view_leaves_the_poles_unseen(room):
+    points = scan(room, POSE, EXACT, np.random.default_rng(0))
+    elevation = np.degrees(np.arctan2(points[:, 2], np.linalg.norm(points[:, :2], axis=1)))
+    # 30 + 22.5 degrees in the middle of an image, less towards its corners
+    assert 45 < elevation.max() < 53
+    assert -53 < elevation.min() < -45
+
+
+def test_range_limits_hold(room):
+    config = EXACT.model_copy(update={"min_range": 1.7, "max_range": 2.2})
+    distances = np.linalg.norm(scan(room, POSE, config, np.random.default_rng(0)), axis=1)
+    assert distances.min() >= 1.7 - 1e-4
+    assert distances.max() <= 2.2 + 1e-4
+
+
+def test_noise_grows_with_depth():
+    config = RigConfig(dropout=0, max_range=10)
+    spread = []
+    for depth in (1.0, 2.0, 4.0):
+        scene = Scene(box((depth, -10, -10), (depth + 1, 10, 10)))
+        points = scan(scene, np.eye(4), config, np.random.default_rng(0))
+        ahead = points[np.abs(points[:, 1:]).max(axis=1) < 0.4 * depth]
+        assert ahead[:, 0].mean() == pytest.approx(depth, rel=0.005)
+        spread.append(ahead[:, 0].std())
+    # quadratic, and at least the configured axial noise
+    assert spread[1] / spread[0] == pytest.approx(4, rel=0.4)
+    assert spread[2] / spread[1] == pytest.approx(4, rel=0.4)
+    assert spread[2] > config.axial_noise * 16
+
+
+def test_depths_are_whole_steps_of_disparity():
+    scene = Scene(box((3.0, -10, -10), (4.0, 10, 10)))
+    config = RigConfig(lateral_noise=0)
+    points = scan(scene, np.eye(4), config, np.random.default_rng(0))
+    ahead = points[np.abs(points[:, 1:]).max(axis=1) < 0.3].astype(float)  # only the level image
+    disparity = 1 / (ahead[:, 0] * config.disparity_step)
+    assert np.abs(disparity - np.rint(disparity)).max() < 1e-3
+    assert len(np.unique(np.rint(disparity))) > 3
+
+
+def test_grazing_surfaces_give_fewer_returns():
+    rng = np.random.default_rng(0)
+    floor = Scene(box((-10, -10, -1), (10, 10, 0)))
+    low = from_yaw(0.0, (0.0, 0.0, 0.3))
+    config = EXACT.model_copy(update={"grazing_start": 70.0, "grazing_end": 85.0})
+    points = scan(floor, low, config, rng)
+    incidence = np.degrees(np.arctan2(np.linalg.norm(points[:, :2], axis=1), 0.3))
+    assert incidence.max() < 85.0
+    everything = scan(floor, low, EXACT, rng)
+    kept = np.degrees(np.arctan2(np.linalg.norm(everything[:, :2], axis=1), 0.3))
+    assert (incidence < 69).sum() == pytest.approx((kept < 69).sum(), rel=0.01)
+    assert (incidence > 78).sum() < 0.5 * (kept > 78).sum()
+
+
+def test_no_return_where_there_is_nothing():
+    scene = Scene(box((100, 100, 100), (101, 101, 101)))
+    assert scan(scene, POSE, RigConfig(), np.random.default_rng(0)).shape == (0, 3)
+
+
+def test_tripods_stand_almost_level_at_any_heading():
+    rng = np.random.default_rng(0)
+    poses = [draw_pose(np.array([1.0, 2.0]), RigConfig(), rng) for _ in range(300)]
+    heights = np.array([pose[2, 3] for pose in poses])
+    assert heights.min() >= 1.5
+    assert heights.max() <= 1.75
+    assert all(np.array_equal(pose[:2, 3], [1.0, 2.0]) for pose in poses)
+    tilts = np.degrees([tilt_angle(pose) for pose in poses])
+    assert np.sqrt(np.mean(tilts**2)) == pytest.approx(0.5 * np.sqrt(2), rel=0.15)
+    headings = np.arctan2([p[1, 0] for p in poses], [p[0, 0] for p in poses])
+    assert np.histogram(headings, bins=4, range=(-np.pi, np.pi))[0].min() > 40
