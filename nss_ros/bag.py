@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from nss_ros import topics
-from nss_ros.bag_reader import BagReader, RawMessage, decode, encode
+from nss_ros.bag_reader import BagReader, RawMessage, bag_digest, decode, encode
 from nss_ros.bag_writer import BagWriter
 from nss_ros.errors import BagError, InputError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
@@ -163,6 +163,24 @@ def read_log(path: Path, points: bool = True) -> Log:
         pose_graph=content.pose_graph,
         metadata=reader.metadata,
     )
+
+
+def with_source_points(log: Log) -> Log:
+    """A log that was recorded without point clouds, with those of the bags that were played.
+
+    Bags that moved or changed since (their hash tells) are left out: the log then stays without.
+
+    Raises:
+        BagError: a bag is there, unchanged, and yet cannot be read.
+    """
+    fragments = dict(log.fragments)
+    number = 0
+    while not log.fragments and (name := log.metadata.get(f"bag_{number}")):
+        bag = Path(name)
+        if bag.exists() and bag_digest(bag) == log.metadata.get(f"bag_{number}_sha256"):
+            fragments |= read_log(bag).fragments
+        number += 1
+    return replace(log, fragments=fragments)
 
 
 @dataclass(slots=True)

@@ -6,6 +6,7 @@ gives everything that had reached the disk.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -121,6 +122,20 @@ def bag_files(path: Path) -> list[Path]:
                 f"{file} is not MCAP: convert the bag with 'ros2 bag convert' (storage_id: mcap)."
             )
     return files
+
+
+def bag_digest(path: Path) -> str:
+    """SHA-256 of the MCAP files of a bag, by which a log recognises the bag that was played.
+
+    Raises:
+        BagError: there is no bag.
+    """
+    digest = hashlib.sha256()
+    for file in bag_files(path):
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()
 
 
 def decode(message: RawMessage) -> Any:

@@ -379,7 +379,7 @@ def _edge_message(edge: Edge, family: MessageFamily) -> Message:
         kind=int(edge.kind),
         status=int(edge.status),
         reason=edge.reason,
-        pose=pose_message(edge.T_target_source, np.zeros((6, 6)), family),
+        pose=pose_message(edge.T_target_source, edge.covariance, family),
         residual_translation=float(edge.residual_translation),
         residual_rotation=float(edge.residual_rotation),
         weight=float(edge.weight),
@@ -400,7 +400,7 @@ def _node_from(message: Message) -> Node:
 
 
 def _edge_from(message: Message) -> Edge:
-    transform, _ = pose_from(message.pose)
+    transform, covariance = pose_from(message.pose)
     return Edge(
         pair=pair_from(message),
         T_target_source=transform,
@@ -412,6 +412,7 @@ def _edge_from(message: Message) -> Edge:
         weight=float(message.weight),
         overlap_ratio=float(message.overlap_ratio),
         temporal_change=float(message.temporal_change),
+        covariance=covariance,
     )
 
 

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
 from nss_ros import topics
-from nss_ros.bag import read_log, write_bag
+from nss_ros.bag import read_log, with_source_points, write_bag
+from nss_ros.bag_reader import bag_digest
 from nss_ros.bag_writer import BagWriter
 from nss_ros.errors import BagError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
@@ -179,3 +180,15 @@ def test_an_empty_cloud_survives(tmp_path):
     empty = Fragment(FragmentId("1", 1, 1), np.zeros((0, 3), np.float32))
     write_bag(tmp_path / "bag", [empty], [])
     assert read_log(tmp_path / "bag").fragments[empty.id].points.shape == (0, 3)
+
+
+def test_a_log_without_points_gets_those_of_its_bag_if_unchanged(tmp_path, room):
+    write_bag(tmp_path / "bag", room.fragments[:1], [])
+    metadata = {"bag_0": str(tmp_path / "bag"), "bag_0_sha256": bag_digest(tmp_path / "bag")}
+    write_bag(tmp_path / "log", [], [], [room.ground_truth], metadata)
+    log = read_log(tmp_path / "log")
+    assert not log.fragments
+    assert list(with_source_points(log).fragments) == [room.fragments[0].id]
+    with (tmp_path / "bag/bag.mcap").open("ab") as file:
+        file.write(b"more")
+    assert not with_source_points(log).fragments

@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from nss_ros.bag import Log, read_log
+from nss_ros.bag import read_log
 from nss_ros.dataset.challenge import write_graphs
 from nss_ros.dataset.submission import submission
-from nss_ros.dataset.trajectory import write_g2o, write_map, write_tum
+from nss_ros.dataset.trajectory import WRITERS
 from nss_ros.errors import InputError
-
-_WRITERS: dict[str, Callable[[Log, Path], int]] = {
-    ".g2o": write_g2o,
-    ".tum": write_tum,
-    ".ply": write_map,
-}
 
 
 def export(
@@ -40,9 +33,9 @@ def export(
     A submission has one graph per imported graph, with its node ids; fragments outside a graph's
     main component are outliers (zero matrix).
     """
-    if output.suffix != ".json" and output.suffix not in _WRITERS:
+    if output.suffix != ".json" and output.suffix not in WRITERS:
         raise InputError(
-            f"{output} must end in .json, {', '.join(_WRITERS)}: the ending decides the format."
+            f"{output} must end in .json, {', '.join(WRITERS)}: the ending decides the format."
         )
     content = read_log(log, points=output.suffix == ".ply")
     console = Console()
@@ -55,5 +48,5 @@ def export(
         outliers = sum(node.outlier for node in nodes)
         message = f"{len(graphs)} graph(s), {len(nodes)} nodes, of them {outliers} outliers"
     else:
-        message = f"{_WRITERS[output.suffix](content, output)} fragments"
+        message = f"{WRITERS[output.suffix](content, output)} fragments"
     console.print(f"Wrote {message}: {output}", soft_wrap=True, highlight=False)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from nss_ros.bag import read_log
+from nss_ros.bag import read_log, with_source_points
 from nss_ros.benchmark.challenge import ChallengeMetrics, ChallengeScore, score_challenge
 from nss_ros.benchmark.clouds import clouds_in
 from nss_ros.benchmark.metrics import MAX_RRE, MAX_RTE_CHALLENGE
@@ -52,7 +52,7 @@ def score(
     if log is not None and target is None and prediction is None:
         if points is not None:
             raise InputError("--points belongs to --target and --prediction: a LOG has its own.")
-        result = score_log(read_log(log))
+        result = score_log(with_source_points(read_log(log)))
         if json:
             print_json(asdict(result))
         else:

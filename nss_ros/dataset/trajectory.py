@@ -5,6 +5,7 @@ Each fragment's number is its place in the canonical order of the map's fragment
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -123,3 +124,11 @@ def _write_lines(path: Path, lines: list[str]) -> None:
         path.write_text("".join(f"{line}\n" for line in lines))
     except OSError as error:
         raise FormatError(f"Cannot write {path}: {error.strerror}.") from error
+
+
+# By file ending; each returns the number of fragments written.
+WRITERS: dict[str, Callable[[Log, Path], int]] = {
+    ".g2o": write_g2o,
+    ".tum": write_tum,
+    ".ply": write_map,
+}

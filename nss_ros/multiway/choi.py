@@ -307,4 +307,5 @@ def _edge(
         residual_translation=translation,
         residual_rotation=rotation,
         weight=edge.weight,
+        covariance=np.asarray(np.linalg.inv(m.information)),
     )

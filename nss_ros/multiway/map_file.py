@@ -1,7 +1,8 @@
 """Saving a map, and loading it back.
 
-A folder holds everything (a rosbag2 MCAP bag with fragments, relative transforms and the pose
-graph) and can be loaded; file endings name export formats.
+A path without an ending becomes a folder that holds everything (a rosbag2 MCAP bag with
+fragments, relative transforms and the pose graph) and can be loaded; `.g2o`, `.tum` and `.ply`
+are exports for other tools.
 """
 
 from __future__ import annotations
@@ -11,19 +12,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nss_ros import topics
-from nss_ros.bag import START_STAMP, read_log
+from nss_ros.bag import START_STAMP, Log, read_log
 from nss_ros.bag_reader import encode
 from nss_ros.bag_writer import BagWriter
-from nss_ros.errors import FormatError
+from nss_ros.dataset.trajectory import WRITERS
+from nss_ros.errors import BagError, FormatError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.geometry import Transform
 from nss_ros.messages import (
     fragment_message,
     pose_graph_message,
     relative_transform_message,
     rosbags_family,
 )
-from nss_ros.multiway.pose_graph import EdgeKind, PoseGraph
+from nss_ros.multiway.multi_stage_map import EXCLUDED
+from nss_ros.multiway.pose_graph import Edge, EdgeKind, PoseGraph
 from nss_ros.registration.relative_transform import RelativeTransform
 
 
@@ -34,13 +36,15 @@ class SavedMap:
     Attributes:
         fragments: by id.
         relative_transforms: answers by pair.
-        constraints: `T_target_source` given by a person, by pair.
+        constraints: edges given by a person.
+        excluded: pairs that a person excluded.
         graph: the poses at the time of saving.
     """
 
     fragments: dict[FragmentId, Fragment]
     relative_transforms: dict[FragmentPair, RelativeTransform]
-    constraints: dict[FragmentPair, Transform]
+    constraints: tuple[Edge, ...]
+    excluded: tuple[FragmentPair, ...]
     graph: PoseGraph
 
 
@@ -50,11 +54,15 @@ def save_map(
     results: Mapping[FragmentPair, RelativeTransform],
     graph: PoseGraph,
 ) -> None:
-    """Write a map to a folder.
+    """Write a map to a folder, or to a file in the format that its ending names.
 
     Raises:
-        BagError: the folder exists or cannot be written.
+        BagError: the folder or file exists or cannot be written.
+        FormatError: the ending names no format.
     """
+    if path.suffix:
+        _export(Log(path, False, dict(fragments), (), dict(results), (), graph))
+        return
     family = rosbags_family()
     with BagWriter(path) as writer:
         for topic in (topics.FRAGMENTS, topics.RELATIVE_TRANSFORMS, topics.POSE_GRAPH):
@@ -69,6 +77,21 @@ def save_map(
         writer.write("/pose_graph", START_STAMP, encode(message))
 
 
+def _export(log: Log) -> None:
+    writer = WRITERS.get(log.path.suffix)
+    if writer is None:
+        raise FormatError(
+            f"{log.path} must end in {', '.join(WRITERS)}, or have no ending for a folder that "
+            "can be loaded again."
+        )
+    if log.path.exists():
+        raise BagError(f"{log.path} exists already: choose another name or remove it.")
+    try:
+        writer(log, log.path)
+    except FormatError as error:
+        raise BagError(str(error)) from error
+
+
 def load_map(path: Path) -> SavedMap:
     """Read a map that `save_map` wrote, or the last state of a log.
 
@@ -79,9 +102,11 @@ def load_map(path: Path) -> SavedMap:
     log = read_log(path)
     if log.pose_graph is None:
         raise FormatError(f"{path} holds no pose graph: give a saved map or the log of a run.")
-    constraints = {
-        edge.pair: edge.T_target_source
-        for edge in log.pose_graph.edges
-        if edge.kind is EdgeKind.MANUAL
-    }
-    return SavedMap(log.fragments, log.relative_transforms, constraints, log.pose_graph)
+    edges = log.pose_graph.edges
+    return SavedMap(
+        log.fragments,
+        log.relative_transforms,
+        tuple(edge for edge in edges if edge.kind is EdgeKind.MANUAL),
+        tuple(edge.pair for edge in edges if edge.reason == EXCLUDED),
+        log.pose_graph,
+    )

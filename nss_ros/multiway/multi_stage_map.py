@@ -27,6 +27,9 @@ from nss_ros.multiway.pose_graph import (
 from nss_ros.multiway.synchronizer import load_synchronizer
 from nss_ros.registration.relative_transform import RelativeTransform
 
+# Why an edge is rejected that a person excluded; saved maps are recognised by it.
+EXCLUDED = "excluded by remove_constraint"
+
 # A constraint given without a covariance: 0.01 m and 0.2 deg standard deviation.
 _SURE = np.diag([0.01**2] * 3 + [np.deg2rad(0.2) ** 2] * 3)
 
@@ -128,8 +131,9 @@ class MultiStageMap:
                 result.T_target_source,
                 EdgeKind.SAME_STAGE if pair.same_stage else EdgeKind.DIFFERENT_STAGE,
                 EdgeStatus.REJECTED if result.ok else EdgeStatus.FAILED,
-                "excluded by remove_constraint" if result.ok else result.message,
+                EXCLUDED if result.ok else result.message,
                 weight=0.0,
+                covariance=result.covariance,
             )
             for pair, result in sorted(self.results.items())
             if not result.ok or pair in self._excluded

@@ -92,6 +92,8 @@ class Edge:
     Attributes:
         pair: source and target.
         T_target_source: (4, 4) as measured (ground truth: as given).
+        covariance: (6, 6) as measured, order x y z rx ry rz (m, rad), target frame; zero when
+            not known.
         kind: same stage, different stage or manual.
         status: accepted, rejected or failed.
         reason: for people, why it was rejected or failed.
@@ -112,6 +114,7 @@ class Edge:
     weight: float = 1.0
     overlap_ratio: float = float("nan")
     temporal_change: float = float("nan")
+    covariance: Matrix = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 @dataclass(frozen=True, slots=True)

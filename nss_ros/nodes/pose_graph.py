@@ -202,8 +202,10 @@ class PoseGraphNode(Node):
             for pair, result in saved.relative_transforms.items():
                 self._map.add_pair(pair)
                 self._map.add_result(result)
-            for pair, transform in saved.constraints.items():
-                self._map.add_constraint(pair, transform)
+            for edge in saved.constraints:
+                self._map.add_constraint(edge.pair, edge.T_target_source, edge.covariance)
+            for pair in saved.excluded:
+                self._map.remove_constraint(pair)
             self._changed()
         response.message = (
             f"Loaded {len(saved.fragments)} fragments and "

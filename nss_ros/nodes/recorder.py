@@ -6,7 +6,6 @@ which bags were played. Everything that was flushed survives a kill -9.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 import subprocess
@@ -23,7 +22,7 @@ from rclpy.serialization import deserialize_message
 
 from nss_msgs.msg import PlaybackStatus
 from nss_ros import __version__, topics
-from nss_ros.bag_reader import BagReader, bag_files
+from nss_ros.bag_reader import BagReader, bag_digest
 from nss_ros.bag_writer import BagWriter
 from nss_ros.config import RecorderConfig
 from nss_ros.errors import BagError, ConfigError
@@ -158,17 +157,13 @@ def _bag_metadata(bag: str, index: int) -> dict[str, str]:
     """Path, hash and own metadata of a bag that is played; only the path if it is not here."""
     values = {f"bag_{index}": bag}
     try:
-        digest = hashlib.sha256()
-        for file in bag_files(Path(bag)):
-            with file.open("rb") as stream:
-                while block := stream.read(1 << 20):
-                    digest.update(block)
+        digest = bag_digest(Path(bag))
         reader = BagReader(Path(bag))
         for _ in reader.messages(()):
             pass
     except (BagError, OSError):
         return values
-    return reader.metadata | values | {f"bag_{index}_sha256": digest.hexdigest()}
+    return reader.metadata | values | {f"bag_{index}_sha256": digest}
 
 
 def _read_metadata(name: str) -> dict[str, str]:

@@ -164,6 +164,12 @@ def test_services_of_the_pose_graph(graph, room_bag, room, tmp_path):
     missing = graph.call(MapFile, "/pose_graph/load_map", path=str(tmp_path / "nowhere"))
     assert missing.code == MapFile.Response.FILE_ERROR
 
+    for ending in ("g2o", "tum", "ply"):
+        path = str(tmp_path / f"map.{ending}")
+        assert graph.call(MapFile, "/pose_graph/save_map", path=path).code == MapFile.Response.OK
+    odd = graph.call(MapFile, "/pose_graph/save_map", path=str(tmp_path / "map.doc"))
+    assert odd.code == MapFile.Response.FORMAT_ERROR
+
     pair = room.pairs[0]
     removed = graph.call(
         RemoveConstraint,
