@@ -7,7 +7,7 @@ venv=$root/.venv
 state=$root/.nss
 system=$state/system # libraries and headers of the distribution that this machine lacks
 log=$state/setup.log
-disk_space_mb=2000 # .venv takes 1.3 GB, the downloads 0.4 GB
+disk_space_mb=2500 # .venv takes 1.3 GB, the downloads and the copy that pip keeps of them 0.8 GB
 
 say() { printf 'nss: [%3d s] %s\n' "$SECONDS" "$1" >&2; }
 
@@ -25,10 +25,10 @@ logged() {
   }
 }
 
-# The lock is closed in children: one that outlives us must not hold it.
+# Children share the lock, so that one that outlives us is waited for by the next call.
 quietly() {
   echo "+ $*" >>"$log"
-  "$@" >>"$log" 2>&1 </dev/null 9>&-
+  "$@" >>"$log" 2>&1 </dev/null
 }
 
 free_mb() { df --output=avail -BM "$1" | tail -n 1 | tr -dc 0-9; }
@@ -41,6 +41,7 @@ disk_is_full() {
 set_up() {
   set -E
   trap 'fail "the set-up stopped unexpectedly (${BASH_SOURCE[0]##*/}, line $LINENO)."' ERR
+  trap 'fail "the set-up was interrupted; the next call takes it up again."' INT TERM HUP
   SECONDS=0
   cd "$root"
   mkdir -p "$state" 2>/dev/null && exec 9>"$state/lock" || fail "cannot write in $root."
