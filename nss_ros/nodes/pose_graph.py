@@ -5,7 +5,6 @@ It never sees ground truth: it subscribes to fragments, pairs and relative trans
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
 import threading
 import time
@@ -54,6 +53,7 @@ from nss_ros.nodes.markers import graph_markers
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
 from nss_ros.nodes.qos import publisher_qos, subscription_qos
 from nss_ros.nodes.spin import Background, run_node
+from nss_ros.worker_process import stop_now, worker_pool
 
 _POLL = 0.05
 _TF_PERIOD = 1.0
@@ -97,9 +97,7 @@ class PoseGraphNode(Node):
     def close(self) -> None:
         """End the worker."""
         self.background.stop()
-        for process in list((self._solver._processes or {}).values()):
-            process.kill()
-        self._solver.shutdown(wait=True, cancel_futures=True)
+        stop_now(self._solver)
 
     def _create_publishers(self) -> None:
         def publisher(message_type: type, topic: topics.Topic) -> Publisher:
@@ -437,7 +435,7 @@ class PoseGraphNode(Node):
 
 def _solver() -> ProcessPoolExecutor:
     """One worker process: the optimiser holds the interpreter lock for as long as it runs."""
-    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"))
+    return worker_pool(1)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -6,12 +6,10 @@ A worker that dies takes one pair with it, not the run.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import pickle
 import shutil
 import tempfile
-import threading
 import time
 from collections import OrderedDict, deque
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -25,6 +23,7 @@ from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
 from nss_ros.registration.method import Method, load_method
 from nss_ros.registration.pair import register_pair
 from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
+from nss_ros.worker_process import stop_now, worker_pool
 
 _PREFIX = "nss_registration_"
 _MOST_ATTEMPTS = 2
@@ -112,17 +111,12 @@ class RegistrationPool:
 
     def close(self) -> None:
         """End the workers and remove the folder."""
-        for process in list((self._executor._processes or {}).values()):
-            process.kill()
-        self._executor.shutdown(wait=True, cancel_futures=True)
+        stop_now(self._executor)
         shutil.rmtree(self._directory, ignore_errors=True)
 
     def _start(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(
-            self._workers,
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=_start_worker,
-            initargs=(self._config, self._directory, self._memory_limit, os.getpid()),
+        return worker_pool(
+            self._workers, _start_worker, self._config, self._directory, self._memory_limit
         )
 
     def _fill(self) -> None:
@@ -198,23 +192,10 @@ class _Worker:
 _worker: _Worker
 
 
-def _start_worker(
-    config: RegistrationConfig, directory: Path, memory_limit: int, parent: int
-) -> None:
+def _start_worker(config: RegistrationConfig, directory: Path, memory_limit: int) -> None:
     global _worker  # noqa: PLW0603 - a pool's workers have no other place for their state
-    # One thread per worker: the pairs are the parallelism, and results do not depend on it.
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = "1"
-    threading.Thread(target=_watch_parent, args=(parent,), daemon=True).start()
     method = load_method(config)
     _worker = _Worker(config, method, _FeatureCache(method, directory, memory_limit << 20))
-
-
-def _watch_parent(parent: int) -> None:
-    """End with the parent, even when it was killed and could not say so."""
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)
 
 
 def _run(fragment: FragmentId, pair: FragmentPair | None) -> RelativeTransform | None:

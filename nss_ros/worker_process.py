@@ -1,0 +1,59 @@
+"""Pools of worker processes that compute with one thread and never outlive their parent."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+_WATCH_PERIOD = 0.5
+_THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def worker_pool(
+    workers: int, initializer: Callable[..., None] | None = None, *arguments: Any
+) -> ProcessPoolExecutor:
+    """A pool of fresh processes.
+
+    One thread each: the workers are the parallelism, and sums in one order make results
+    reproducible to the bit. The limits are set here, because the libraries read them when they
+    are loaded, which in a fresh process is before any initializer runs.
+
+    Args:
+        workers: number of processes.
+        initializer: called in each process with the arguments.
+        arguments: picklable.
+    """
+    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+    return ProcessPoolExecutor(
+        workers,
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=_start,
+        initargs=(os.getpid(), initializer, arguments),
+    )
+
+
+def stop_now(pool: ProcessPoolExecutor) -> None:
+    """End a pool without waiting for what it computes."""
+    for process in list((pool._processes or {}).values()):
+        process.kill()
+    pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _start(
+    parent: int, initializer: Callable[..., None] | None, arguments: tuple[Any, ...]
+) -> None:
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+    if initializer is not None:
+        initializer(*arguments)
+
+
+def _watch(parent: int) -> None:
+    """End with the parent, even when it was killed and could not say so."""
+    while os.getppid() == parent:
+        time.sleep(_WATCH_PERIOD)
+    os._exit(1)
