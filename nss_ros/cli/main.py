@@ -23,6 +23,7 @@ app = typer.Typer(
     help="One map of a building that changes: register multi-stage fragments in a ROS 2 graph, "
     "and score the result.",
     no_args_is_help=True,
+    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
@@ -56,12 +57,17 @@ def main() -> None:
     try:
         app()
     except NssError as error:
-        Console(stderr=True).print(
-            f"[red]error:[/red] {escape(str(error))}", soft_wrap=True, highlight=False
-        )
-        sys.exit(1)
+        _report(str(error))
+    except OSError as error:
+        _report(f"{error.strerror}: {error.filename}" if error.filename else str(error))
     except KeyboardInterrupt:
         sys.exit(130)
+
+
+def _report(sentence: str) -> None:
+    console = Console(stderr=True)
+    console.print(f"[red]error:[/red] {escape(sentence)}", soft_wrap=True, highlight=False)
+    sys.exit(1)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 BagsArgument = Annotated[
     list[Path],
-    typer.Argument(metavar="BAG...", help="rosbag2 MCAP bags, played one after the other."),
+    typer.Argument(metavar="BAG", help="rosbag2 MCAP bags, played one after the other."),
 ]
 ConfigOption = Annotated[
     Path | None, typer.Option("--config", "-c", help="Settings, as written by 'nss config'.")
@@ -122,16 +122,16 @@ class ProgressDisplay:
         self._placed = self._display.add_task("placed", total=None, note="")
 
     def __enter__(self) -> ProgressDisplay:
-        self._display.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._display.stop()
 
     def update(self, run: RunProgress) -> None:
-        """Show the state of the run."""
+        """Show the state of the run; nothing before the player was heard of."""
         if not run.playing:
             return
+        self._display.start()
         self._display.update(self._fragments, completed=run.fragments, total=run.fragments_total)
         failures = f"{run.pairs_failed} failed" if run.pairs_failed else ""
         self._display.update(
