@@ -37,7 +37,7 @@ setup(
         "rosbags",
         "scikit-learn",
         "scipy",
-        "typer",
+        "typer>=0.12.4",
         "zstandard",
     ],
     extras_require={"test": ["hypothesis", "pytest"]},  # makes colcon test run pytest

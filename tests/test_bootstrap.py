@@ -1,7 +1,6 @@
 """The ./nss script, its pinned packages, and what the package files promise."""
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -114,6 +113,39 @@ def test_tf2_msgs_has_the_official_type_hash() -> None:
     assert {h["type_name"]: h["hash_string"] for h in hashes}["tf2_msgs/msg/TFMessage"] == official
 
 
-@pytest.mark.skipif("_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in os.environ, reason="not under ./nss")
-def test_discovery_stays_on_this_machine_by_default() -> None:
-    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
+@pytest.fixture
+def environment_file() -> Path:
+    path = ROOT / ".nss" / "environment.sh"
+    if not path.exists():
+        pytest.skip("not set up by ./nss")
+    return path
+
+
+@pytest.mark.parametrize(("asked", "result"), [(None, "LOCALHOST"), ("SUBNET", "SUBNET")])
+def test_discovery_stays_on_this_machine_unless_asked(
+    environment_file: Path, asked: str | None, result: str
+) -> None:
+    variables = {"ROS_AUTOMATIC_DISCOVERY_RANGE": asked} if asked else {}
+    assert sourced(environment_file, "ROS_AUTOMATIC_DISCOVERY_RANGE", variables) == result
+
+
+@pytest.mark.parametrize(("ament_prefix", "kept"), [("/opt/ros/jazzy", False), (None, True)])
+def test_python_path_of_a_sourced_ros_is_dropped(
+    environment_file: Path, ament_prefix: str | None, kept: bool
+) -> None:
+    variables = {"PYTHONPATH": "/foreign"} | (
+        {"AMENT_PREFIX_PATH": ament_prefix} if ament_prefix else {}
+    )
+    assert ("/foreign" in sourced(environment_file, "PYTHONPATH", variables).split(":")) is kept
+
+
+def sourced(file: Path, name: str, variables: dict[str, str]) -> str:
+    """The value of a variable after the file is sourced where only the given ones are set."""
+    result = subprocess.run(
+        ["bash", "-euc", '. "$0"; printf %s "${!1}"', str(file), name],
+        env={"PATH": "/usr/bin:/bin", **variables},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return result.stdout
