@@ -59,22 +59,22 @@ class FpfhConfig(Section):
     """FPFH features (Rusu et al. 2009) and feature matching."""
 
     voxel_size: Positive = Field(
-        0.05, description="Voxel size of the points that are described, metres"
+        0.1, description="Voxel size of the points that are described, metres"
     )
-    normal_radius: Positive = Field(0.15, description="Neighbourhood of normals, metres")
-    feature_radius: Positive = Field(0.4, description="Neighbourhood of the descriptor, metres")
+    normal_radius: Positive = Field(0.25, description="Neighbourhood of normals, metres")
+    feature_radius: Positive = Field(0.6, description="Neighbourhood of the descriptor, metres")
     max_keypoints: int = Field(
         5000, gt=0, description="Described points kept for matching, those of the least flat places"
     )
     inlier_distance: Positive = Field(
-        0.1, description="Correspondences closer than this agree, metres"
+        0.15, description="Correspondences closer than this agree, metres"
     )
     use_gravity: bool = Field(
         True,
         description="RANSAC of two levelled fragments looks for yaw and translation only",
     )
     hypotheses: int = Field(
-        1, gt=0, description="RANSAC hypotheses that are compared by the points' overlap"
+        8, gt=0, description="RANSAC hypotheses that are compared by their confidence"
     )
     ransac_iterations: int = Field(500_000, gt=0, description="Most RANSAC samples per pair")
     ransac_confidence: Fraction = Field(

@@ -101,7 +101,7 @@ def _descriptors(cloud: Any, radius: float) -> NDArray[np.float32]:
     registration: Any = o3d.pipelines.registration  # its stubs make `indices` compulsory
     feature = registration.compute_fpfh_feature(cloud, search)
     histograms = np.nan_to_num(np.asarray(feature.data).T, nan=0.0, posinf=0.0, neginf=0.0)
-    return np.round(histograms * _STEPS).astype(np.float32)
+    return np.asarray(np.round(histograms * _STEPS), dtype=np.float32)
 
 
 def _least_flat(cloud: Any, radius: float, count: int) -> NDArray[np.int64]:

@@ -7,6 +7,7 @@ how they find the transform on which the matches agree.
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import expit
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentPair
@@ -71,39 +72,45 @@ class _Fpfh:
     ) -> RelativeTransform:
         config = self.config
         still = Surface.of(target.points, target.normals)
-        best = self._best(_thinned(source, _TRIAL_POINTS), still, candidates)
+        best = self._best(_thinned(source, _TRIAL_POINTS), still, matches, candidates)
         moving = _thinned(source, config.icp.max_points)
         refined = refine(moving, still, best, config.icp.max_distance, config.icp.iterations)
         found = support(moving, still, refined.T_target_source, config)
         reason, message = verdict(found, refined.T_target_source, level, config)
         if reason is not Reason.NONE:
             return failed(pair, self.name, reason, message)
-        agreeing = inlier_mask(matches, refined.T_target_source, config.fpfh.inlier_distance)
         return RelativeTransform(
             pair,
             self.name,
             T_target_source=refined.T_target_source,
             covariance=_covariance(refined),
             overlap_probability=overlap_score(found),
-            confidence=confidence_score(found, int(agreeing.sum())),
+            confidence=self._confidence(found, matches, refined.T_target_source),
             inliers=found.inliers,
             inlier_ratio=found.inlier_ratio,
             rmse=found.rmse,
         )
 
-    def _best(self, source: Surface, target: Surface, candidates: list[Transform]) -> Transform:
-        """The candidate that is best supported after a short refinement."""
+    def _best(
+        self, source: Surface, target: Surface, matches: Matches, candidates: list[Transform]
+    ) -> Transform:
+        """The most credible candidate after a short refinement."""
         if len(candidates) == 1:
             return candidates[0]
         distance = self.config.icp.max_distance
-        trials = [
-            refine(source, target, candidate, distance, _TRIAL_ITERATIONS, _TRIAL_LEVELS)
-            for candidate in candidates
+        refined = [
+            refine(source, target, each, distance, _TRIAL_ITERATIONS, _TRIAL_LEVELS).T_target_source
+            for each in candidates
         ]
         scores = [
-            support(source, target, trial.T_target_source, self.config).score for trial in trials
+            self._confidence(support(source, target, each, self.config), matches, each)
+            for each in refined
         ]
-        return trials[int(np.argmax(scores))].T_target_source
+        return refined[int(np.argmax(scores))]
+
+    def _confidence(self, found: Support, matches: Matches, transform: Transform) -> float:
+        agreeing = inlier_mask(matches, transform, self.config.fpfh.inlier_distance)
+        return confidence_score(found, int(agreeing.sum()), self.config.overlap_distance)
 
 
 class FpfhRansac(_Fpfh):
@@ -139,14 +146,23 @@ class FpfhFgr(_Fpfh):
 def overlap_score(found: Support) -> float:
     """A monotone score in 0..1 that the fragments overlap; not calibrated.
 
-    1 - exp(-score / 0.1): the share of source points on the target's surface after alignment.
+    1 - exp(-share / 0.1) of the share of source points on the target's surface after alignment.
     """
     return float(1 - np.exp(-found.score / 0.1))
 
 
-def confidence_score(found: Support, agreeing: int) -> float:
-    """A monotone score in 0..1 that the transform is right; not calibrated."""
-    return float(found.agreement * (1 - np.exp(-agreeing / 30)))
+def confidence_score(found: Support, agreeing: int, tau: float) -> float:
+    """A monotone score in 0..1 that a transform is right; not calibrated.
+
+    A logistic function of the two signs that told right transforms from wrong ones best: matched
+    keypoints that agree, and how tightly the overlap fits. The weights are set by hand.
+
+    Args:
+        found: support of the transform.
+        agreeing: matched keypoints that agree with it.
+        tau: distance of overlap, metres.
+    """
+    return float(expit(1.5 * np.log1p(agreeing) + 12 * (1 - found.rmse / tau) - 13))
 
 
 def _matches(source: FpfhFeatures, target: FpfhFeatures) -> Matches:

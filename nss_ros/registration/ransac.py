@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from nss_ros.geometry import Transform, from_yaw, relative, rotation_angle
+from nss_ros.geometry import Transform, from_yaw
 
 _BATCH = 20_000
 _SCORE_CHUNK = 256
@@ -196,24 +196,22 @@ def _merge(
     best: list[Candidate], transforms: Array, inliers: NDArray[np.int64], count: int
 ) -> list[Candidate]:
     """The best distinct candidates of the old ones and the new ones; the older wins a tie."""
-    order = np.argsort(-inliers, kind="stable")[: 20 * count]
-    candidates = best + [Candidate(transforms[i], int(inliers[i])) for i in order]
-    candidates.sort(key=lambda candidate: -candidate.inliers)
+    stack = np.concatenate([[c.T_target_source for c in best], transforms]) if best else transforms
+    agreeing = np.concatenate(([c.inliers for c in best], inliers)).astype(np.int64)
     kept: list[Candidate] = []
-    for candidate in candidates:
-        if len(kept) == count:
-            break
-        if all(_distinct(candidate.T_target_source, other.T_target_source) for other in kept):
-            kept.append(candidate)
+    while len(kept) < count and len(stack):
+        top = int(np.argmax(agreeing))
+        kept.append(Candidate(stack[top], int(agreeing[top])))
+        others = _distinct(stack, stack[top])
+        stack, agreeing = stack[others], agreeing[others]
     return kept
 
 
-def _distinct(one: Transform, other: Transform) -> bool:
-    difference = relative(one, other)
-    return bool(
-        np.linalg.norm(difference[:3, 3]) > _DISTINCT_TRANSLATION
-        or rotation_angle(difference) > _DISTINCT_ROTATION
-    )
+def _distinct(transforms: Array, one: Transform) -> NDArray[np.bool_]:
+    """Which transforms (s, 4, 4) differ from one by more than the noise of a sample, (s,)."""
+    far = np.linalg.norm(transforms[:, :3, 3] - one[:3, 3], axis=1) > _DISTINCT_TRANSLATION
+    trace = np.einsum("sij,ij->s", transforms[:, :3, :3], one[:3, :3])
+    return np.asarray(far | ((trace - 1) / 2 < np.cos(_DISTINCT_ROTATION)))
 
 
 def _samples_needed(ratio: float, size: int, confidence: float) -> float:

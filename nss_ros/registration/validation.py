@@ -58,7 +58,8 @@ def support(
         inlier_ratio=count / len(source.points),
         rmse=float(np.sqrt(np.mean(distances**2))),
         agreement=float(np.mean(on_surface)),
-        flat=_is_flat(moved[found], config.voxel_size),
+        flat=_is_flat(moved[found], config.voxel_size)
+        or _is_flat(target.points[matched], config.voxel_size),
     )
 
 
