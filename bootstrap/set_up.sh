@@ -194,9 +194,9 @@ explain_pip() {
 repair_wheels() {
   local numpy_include site_packages
   numpy_include=$("$venv/bin/python" -c 'import numpy; print(numpy.get_include())')
-  grep -rlZ --include='*.cmake' /opt/python/ "$venv/share" | xargs -0 --no-run-if-empty sed -i -E \
+  find "$venv/share" -name '*.cmake' -exec sed -i -E \
     -e "s|/opt/python/[^;\"]*/numpy/_core/include|$numpy_include|g" \
-    -e "s|/opt/python/[^;\"]*/include/python3\.[0-9]+|$venv/include/headers|g"
+    -e "s|/opt/python/[^;\"]*/include/python3\.[0-9]+|$venv/include/headers|g" {} +
   site_packages=$(echo "$venv"/lib/python3.*/site-packages)
   ln -sfn ../libusb_package/libusb-1.0.so "$site_packages/open3d/libusb-1.0.so.0"
 }
@@ -236,7 +236,7 @@ provide_libraries() {
     # shellcheck disable=SC2046 # one word for each package
     fetch_packages $(package_of <<<"$missing") || break
   done
-  fail "Open3D needs system libraries that are missing ($(missing_libraries | tr '\n' ' ')): install them with \`sudo apt-get install libegl1 libgl1 libx11-6 libidn2-0 libudev1\`."
+  fail "Open3D needs system libraries that are missing (${missing//$'\n'/ }): install them with \`sudo apt-get install libegl1 libgl1 libx11-6 libidn2-0 libudev1\`."
 }
 
 missing_libraries() {
