@@ -44,7 +44,7 @@ set_up() {
   trap 'fail "the set-up was interrupted; the next call takes it up again."' INT TERM HUP
   SECONDS=0
   cd "$root"
-  mkdir -p "$state" 2>/dev/null && exec 9>"$state/lock" || fail "cannot write in $root."
+  { mkdir -p "$state" && exec 9>"$state/lock"; } 2>/dev/null || fail "cannot write in $root."
   if ! flock --nonblock 9; then
     say "waiting for another set-up of $root"
     flock 9
