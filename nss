@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Runs the nss command line (`./nss --help`) or the tests (`./nss test`) in the environment that
-# bootstrap/set_up.sh makes in .venv and .nss the first time, and again when its inputs change.
+# Runs the nss command line (`./nss --help`), the tests (`./nss test`) or a script (`./nss python
+# FILE`) in the environment that bootstrap/set_up.sh makes in .venv and .nss the first time, and again when its inputs change.
 set -euo pipefail
 root=$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")
 
@@ -44,6 +44,8 @@ fi
 
 if [[ ${1:-} == test ]]; then
   run_tests "${@:2}"
+elif [[ ${1:-} == python ]]; then
+  exec "$root/.venv/bin/python" "${@:2}"
 else
   exec "$root/.venv/bin/nss" "$@"
 fi

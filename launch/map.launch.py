@@ -1,6 +1,6 @@
 """The whole graph: bags in, log out. The run goes on until it is interrupted.
 
-    ros2 launch nss_ros map.launch.py bags:="['/data/stage1', '/data/stage2']" output:=/data/log
+ros2 launch nss_ros map.launch.py bags:="['/data/stage1', '/data/stage2']" output:=/data/log
 """
 
 from launch import LaunchDescription

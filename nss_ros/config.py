@@ -74,7 +74,7 @@ class FpfhConfig(Section):
         description="RANSAC of two levelled fragments looks for yaw and translation only",
     )
     hypotheses: int = Field(
-        8, gt=0, description="RANSAC hypotheses that are compared by their confidence"
+        200, gt=0, description="RANSAC hypotheses that are compared before the best are refined"
     )
     ransac_iterations: int = Field(500_000, gt=0, description="Most RANSAC samples per pair")
     ransac_confidence: Fraction = Field(

@@ -99,8 +99,8 @@ def test_a_writer_that_never_closes_leaves_what_it_flushed(tmp_path, room):
     writer = BagWriter(tmp_path / "log")
     writer.add_metadata({"a": "b"})
     writer.add_topic("/fragment_pairs", topics.FRAGMENT_PAIRS)
-    from nss_ros.bag_reader import encode  # noqa: PLC0415
-    from nss_ros.messages import pair_message, rosbags_family  # noqa: PLC0415
+    from nss_ros.bag_reader import encode
+    from nss_ros.messages import pair_message, rosbags_family
 
     for pair in room.pairs[:3]:
         writer.write("/fragment_pairs", 1, encode(pair_message(pair, 1, rosbags_family())))

@@ -216,6 +216,7 @@ class FragmentPlayer(Node):
     def _pause(self) -> None:
         self._publish_status(PlaybackStatus.STATE_PAUSED)
         while not self._playing.wait(_CLOCK_PERIOD):
+            self._publish_clock()
             if self.background.stopping.is_set():
                 return
         self._publish_status(PlaybackStatus.STATE_PLAYING)

@@ -6,7 +6,10 @@ how they find the transform on which the matches agree.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import expit
 
 from nss_ros.config import RegistrationConfig
@@ -14,6 +17,7 @@ from nss_ros.fragment import Fragment, FragmentPair
 from nss_ros.geometry import Matrix, Transform
 from nss_ros.registration.features import FpfhFeatures, describe
 from nss_ros.registration.fgr import fast_global_registration
+from nss_ros.registration.free_space import RangeImage, View, conflicts
 from nss_ros.registration.icp import Refined, Surface, refine
 from nss_ros.registration.matching import mutual_matches
 from nss_ros.registration.ransac import Matches, inlier_mask, ransac
@@ -21,9 +25,12 @@ from nss_ros.registration.relative_transform import Reason, RelativeTransform, f
 from nss_ros.registration.validation import Support, support, verdict
 
 # Candidates are compared after a few iterations on few points, and the best alone is refined.
+_TRIALS = 8
 _TRIAL_POINTS = 1000
 _TRIAL_ITERATIONS = 10
 _TRIAL_LEVELS = (2.0,)
+_VIEW_POINTS = 5000
+_CONFLICT_WEIGHT = 40.0
 # A direction along which the surfaces can slide is unknown by metres, not infinitely.
 _LEAST_INFORMATION = 1e-2
 
@@ -72,7 +79,9 @@ class _Fpfh:
     ) -> RelativeTransform:
         config = self.config
         still = Surface.of(target.points, target.normals)
-        best = self._best(_thinned(source, _TRIAL_POINTS), still, matches, candidates)
+        views = _Views.of(source, target) if level else None
+        candidates = _shortlist(matches, candidates, views, config.fpfh.inlier_distance)
+        best = self._best(_thinned(source, _TRIAL_POINTS), still, matches, candidates, views)
         moving = _thinned(source, config.icp.max_points)
         refined = refine(moving, still, best, config.icp.max_distance, config.icp.iterations)
         found = support(moving, still, refined.T_target_source, config)
@@ -85,14 +94,19 @@ class _Fpfh:
             T_target_source=refined.T_target_source,
             covariance=_covariance(refined),
             overlap_probability=overlap_score(found),
-            confidence=self._confidence(found, matches, refined.T_target_source),
+            confidence=self._confidence(found, matches, refined.T_target_source, views),
             inliers=found.inliers,
             inlier_ratio=found.inlier_ratio,
             rmse=found.rmse,
         )
 
     def _best(
-        self, source: Surface, target: Surface, matches: Matches, candidates: list[Transform]
+        self,
+        source: Surface,
+        target: Surface,
+        matches: Matches,
+        candidates: list[Transform],
+        views: _Views | None,
     ) -> Transform:
         """The most credible candidate after a short refinement."""
         if len(candidates) == 1:
@@ -103,14 +117,17 @@ class _Fpfh:
             for each in candidates
         ]
         scores = [
-            self._confidence(support(source, target, each, self.config), matches, each)
+            self._confidence(support(source, target, each, self.config), matches, each, views)
             for each in refined
         ]
         return refined[int(np.argmax(scores))]
 
-    def _confidence(self, found: Support, matches: Matches, transform: Transform) -> float:
+    def _confidence(
+        self, found: Support, matches: Matches, transform: Transform, views: _Views | None
+    ) -> float:
         agreeing = inlier_mask(matches, transform, self.config.fpfh.inlier_distance)
-        return confidence_score(found, int(agreeing.sum()), self.config.overlap_distance)
+        conflict = float(views.conflicts(transform[None])[0]) if views else None
+        return confidence_score(found, int(agreeing.sum()), self.config.overlap_distance, conflict)
 
 
 class FpfhRansac(_Fpfh):
@@ -151,18 +168,65 @@ def overlap_score(found: Support) -> float:
     return float(1 - np.exp(-found.score / 0.1))
 
 
-def confidence_score(found: Support, agreeing: int, tau: float) -> float:
+def confidence_score(
+    found: Support, agreeing: int, tau: float, conflict: float | None = None
+) -> float:
     """A monotone score in 0..1 that a transform is right; not calibrated.
 
-    A logistic function of the two signs that told right transforms from wrong ones best: matched
-    keypoints that agree, and how tightly the overlap fits. The weights are set by hand.
+    A logistic function of the signs that told right transforms from wrong ones best: matched
+    keypoints that agree, how tightly the overlap fits, and the free space that it contradicts.
+    The weights are set by hand.
 
     Args:
         found: support of the transform.
         agreeing: matched keypoints that agree with it.
         tau: distance of overlap, metres.
+        conflict: share of surfaces in free space; None when it is not known what was seen.
     """
-    return float(expit(1.5 * np.log1p(agreeing) + 12 * (1 - found.rmse / tau) - 13))
+    score = _match_score(agreeing) + 12 * (1 - found.rmse / tau) - 13
+    if conflict is not None:
+        score += 4 - _CONFLICT_WEIGHT * conflict
+    return float(expit(score))
+
+
+def _match_score(agreeing: float) -> float:
+    return float(1.5 * np.log1p(agreeing))
+
+
+@dataclass(frozen=True, slots=True)
+class _Views:
+    """What the scanners of a levelled pair saw."""
+
+    source: View
+    target: View
+
+    @classmethod
+    def of(cls, source: FpfhFeatures, target: FpfhFeatures) -> _Views:
+        return cls(_view(source), _view(target))
+
+    def conflicts(self, transforms: NDArray[np.float64], thinning: int = 1) -> NDArray[np.float64]:
+        source = View(self.source.points[::thinning], self.source.image)
+        target = View(self.target.points[::thinning], self.target.image)
+        return conflicts(source, target, transforms)
+
+
+def _view(features: FpfhFeatures) -> View:
+    return View(_thinned(features, _VIEW_POINTS).points, RangeImage.of(features.points))
+
+
+def _shortlist(
+    matches: Matches, candidates: list[Transform], views: _Views | None, distance: float
+) -> list[Transform]:
+    """The candidates worth refining, by matches that agree and free space that contradicts."""
+    if len(candidates) <= _TRIALS:
+        return candidates
+    scores = np.array(
+        [_match_score(inlier_mask(matches, each, distance).sum()) for each in candidates]
+    )
+    if views is not None:
+        scores -= _CONFLICT_WEIGHT * views.conflicts(np.array(candidates), thinning=5)
+    order = np.argsort(-scores, kind="stable")[:_TRIALS]
+    return [candidates[i] for i in order]
 
 
 def _matches(source: FpfhFeatures, target: FpfhFeatures) -> Matches:

@@ -78,7 +78,7 @@ class Graph:
 
     def listen(self, topic, message_type: type) -> list:
         """The messages of a topic, appended as they come."""
-        from nss_ros.nodes.qos import subscription_qos  # noqa: PLC0415
+        from nss_ros.nodes.qos import subscription_qos
 
         messages: list = []
         self.node.create_subscription(

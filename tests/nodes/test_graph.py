@@ -106,7 +106,7 @@ def test_a_slow_consumer_loses_nothing(graph, room_bag, room):
         time.sleep(0.3)
         received.append(message.id)
 
-    from nss_ros.nodes.qos import subscription_qos  # noqa: PLC0415
+    from nss_ros.nodes.qos import subscription_qos
 
     graph.node.create_subscription(
         Fragment, "fragments", take_time, subscription_qos(topics.FRAGMENTS)
@@ -130,15 +130,15 @@ def test_pause_holds_and_resume_goes_on(graph, room_bag, room):
 
 def test_the_clock_comes_first_and_runs_between_the_messages(graph, room_bag):
     clocks = graph.listen(topics.CLOCK, Clock)
-    order = []
-    for message_type, topic in ((Fragment, topics.FRAGMENTS), (Clock, topics.CLOCK)):
-        graph.node.create_subscription(
-            message_type, topic.name, lambda message: order.append(message), publisher_qos(topic, 1)
-        )
+    fragments = graph.listen(topics.FRAGMENTS, Fragment)
     statuses = graph.listen(topics.PLAYBACK_STATUS, PlaybackStatus)
-    graph.start("fragment_player", bags=[str(room_bag)], rate=0.5, start_offset=1.0)
+    graph.start(
+        "fragment_player", bags=[str(room_bag)], rate=0.5, start_offset=1.0, start_paused=True
+    )
+    graph.wait(lambda: clocks)
+    assert not fragments
+    assert graph.call(Trigger, "/fragment_player/resume").success
     graph.wait(lambda: statuses and statuses[-1].state == PlaybackStatus.STATE_FINISHED)
-    assert isinstance(order[0], Clock)
     stamps = [clock.clock.sec + clock.clock.nanosec * 1e-9 for clock in clocks]
     assert stamps == sorted(stamps)
     assert stamps[0] > 1e9
