@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from nss_ros.errors import RunError
+from nss_ros.nodes.spin import LAUNCHER_VARIABLE
 
 _STOP_TIMEOUT = 20.0
 
@@ -73,7 +74,7 @@ class Launcher:
                 stderr=output,
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,
-                env={**os.environ, "PYTHONUNBUFFERED": "1"},
+                env={**os.environ, "PYTHONUNBUFFERED": "1", LAUNCHER_VARIABLE: str(os.getpid())},
             )
         self.nodes.append(NodeProcess(name, process, log))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -67,6 +68,7 @@ def run_mapping(
         monitor.close()
     if unclean:
         raise RunError(f"Node {unclean[0]} did not stop cleanly: see {directory / unclean[0]}.log.")
+    shutil.rmtree(directory)
     return progress
 
 

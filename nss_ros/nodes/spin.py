@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +15,11 @@ from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from nss_ros.errors import NssError
+
+
+# Process id of the launcher, set by it.
+LAUNCHER_VARIABLE = "NSS_LAUNCHER"
+_WATCH_PERIOD = 0.5
 
 
 class Background:
@@ -61,6 +68,7 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> int:
     status = 0
     try:
         rclpy.init(args=args)
+        _follow_launcher()
         node = make()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -77,6 +85,20 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> int:
             status = _close(node) or status
         rclpy.try_shutdown()
     return status
+
+
+def _follow_launcher() -> None:
+    """Stop, cleanly, when the process that launched this node is gone: it cannot stop us then."""
+    launcher = os.environ.get(LAUNCHER_VARIABLE)
+    if launcher is None:
+        return
+
+    def watch() -> None:
+        while os.getppid() == int(launcher):
+            time.sleep(_WATCH_PERIOD)
+        rclpy.try_shutdown()
+
+    threading.Thread(target=watch, name="launcher", daemon=True).start()
 
 
 def _close(node: Any) -> int:

@@ -172,6 +172,22 @@ def test_a_killed_node_is_named_and_the_log_survives(tmp_path, room_bag, victim)
     assert survived.partial == (victim == "recorder")
 
 
+def test_nothing_outlives_a_killed_run(tmp_path, room_bag):
+    log = tmp_path / "log"
+    run = _run_map(room_bag, log)
+    _wait_for_answers(log, 2)
+    nodes = [_child(run.pid, name) for name in ("recorder", "registration", "pose_graph")]
+    run.kill()
+    run.communicate(timeout=60)
+    deadline = time.monotonic() + 60
+    while any(Path(f"/proc/{pid}").exists() for pid in nodes):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    survived = read_log(log)
+    assert not survived.partial
+    assert len(survived.relative_transforms) >= 2
+
+
 def test_ctrl_c_closes_the_log(tmp_path, room_bag):
     log = tmp_path / "log"
     run = _run_map(room_bag, log)
