@@ -55,6 +55,29 @@ def run_mapping(
     if output.exists():
         raise RunError(f"{output} exists already: choose another name or remove it.")
     directory = Path(tempfile.mkdtemp(prefix="nss_map_"))
+    try:
+        progress = _run(
+            directory, bags, output, config, namespace, registration_nodes, timeout, report
+        )
+    except RunError:
+        raise  # its message points to the output of a node
+    except BaseException:
+        shutil.rmtree(directory)
+        raise
+    shutil.rmtree(directory)
+    return progress
+
+
+def _run(
+    directory: Path,
+    bags: Sequence[Path],
+    output: Path,
+    config: NssConfig,
+    namespace: str,
+    registration_nodes: int,
+    timeout: float,
+    report: Callable[[Progress], None],
+) -> Progress:
     monitor = Monitor(namespace)
     launcher = Launcher(namespace, directory)
     try:
@@ -68,7 +91,6 @@ def run_mapping(
         monitor.close()
     if unclean:
         raise RunError(f"Node {unclean[0]} did not stop cleanly: see {directory / unclean[0]}.log.")
-    shutil.rmtree(directory)
     return progress
 
 

@@ -16,7 +16,6 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from nss_ros.errors import NssError
 
-
 # Process id of the launcher, set by it.
 LAUNCHER_VARIABLE = "NSS_LAUNCHER"
 _WATCH_PERIOD = 0.5
