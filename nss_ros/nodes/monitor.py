@@ -13,7 +13,7 @@ from nss_msgs.msg import FragmentPose, PlaybackStatus
 from nss_msgs.msg import PoseGraph as PoseGraphMessage
 from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
 from nss_ros import topics
-from nss_ros.nodes.qos import subscription_qos
+from nss_ros.nodes.qos import latest_qos, subscription_qos
 
 
 @dataclass(slots=True)
@@ -77,14 +77,17 @@ class Monitor:
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        for message_type, topic, callback in (
-            (PlaybackStatus, topics.PLAYBACK_STATUS, self._on_status),
-            (RelativeTransformMessage, topics.RELATIVE_TRANSFORMS, self._on_answer),
-            (PoseGraphMessage, topics.POSE_GRAPH, self._on_pose_graph),
+        for message_type, topic, callback, qos in (
+            (PlaybackStatus, topics.PLAYBACK_STATUS, self._on_status, latest_qos),
+            (
+                RelativeTransformMessage,
+                topics.RELATIVE_TRANSFORMS,
+                self._on_answer,
+                subscription_qos,
+            ),
+            (PoseGraphMessage, topics.POSE_GRAPH, self._on_pose_graph, latest_qos),
         ):
-            self._node.create_subscription(
-                message_type, topic.name, callback, subscription_qos(topic)
-            )
+            self._node.create_subscription(message_type, topic.name, callback, qos(topic))
 
     def spin(self, seconds: float) -> Progress:
         """Listen for a while; the state after it."""

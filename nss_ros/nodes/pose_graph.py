@@ -49,6 +49,7 @@ from nss_ros.multiway.multi_stage_map import MultiStageMap, map_points, solve
 from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
 from nss_ros.multiway.synchronizer import load_synchronizer
 from nss_ros.nodes.diagnostics import Health, publish_diagnostics
+from nss_ros.nodes.intake import converted
 from nss_ros.nodes.markers import graph_markers
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
 from nss_ros.nodes.qos import publisher_qos, subscription_qos
@@ -141,30 +142,23 @@ class PoseGraphNode(Node):
         self._settled = False
 
     def _on_fragment(self, message: FragmentMessage) -> None:
-        try:
-            self._fragments_in.put(fragment_from(message))
-        except InputError as error:
-            self.get_logger().error(f"Fragment '{message.id}' ignored: {error}")
+        fragment = converted(self, fragment_from, message)
+        if fragment is not None:
+            self._fragments_in.put(fragment)
 
     def _on_pair(self, message: PairMessage) -> None:
-        try:
-            pair = pair_from(message)
-        except InputError as error:
-            self.get_logger().error(f"Pair ignored: {error}")
-            return
-        with self._lock:
-            self._map.add_pair(pair)
-            self._changed()
+        pair = converted(self, pair_from, message)
+        if pair is not None:
+            with self._lock:
+                self._map.add_pair(pair)
+                self._changed()
 
     def _on_relative_transform(self, message: RelativeTransformMessage) -> None:
-        try:
-            result = relative_transform_from(message)
-        except InputError as error:
-            self.get_logger().error(f"Relative transform ignored: {error}")
-            return
-        with self._lock:
-            if self._map.add_result(result):
-                self._changed()
+        result = converted(self, relative_transform_from, message)
+        if result is not None:
+            with self._lock:
+                if self._map.add_result(result):
+                    self._changed()
 
     def _on_save_map(self, request: MapFile.Request, response: MapFile.Response) -> object:
         with self._lock:

@@ -14,7 +14,12 @@ def publisher_qos(topic: Topic, depth: int | None = None) -> QoSProfile:
 
 def subscription_qos(topic: Topic) -> QoSProfile:
     """Reliable and lossless: a reader that keeps all makes the writer wait, not overwrite."""
-    return _profile(topic, 0 if topic.depth != 1 else 1)
+    return _profile(topic, 0)
+
+
+def latest_qos(topic: Topic) -> QoSProfile:
+    """Reliable, for a reader that wants the newest message only."""
+    return _profile(topic, 1)
 
 
 def _profile(topic: Topic, depth: int) -> QoSProfile:

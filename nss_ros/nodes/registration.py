@@ -18,12 +18,13 @@ from nss_msgs.msg import PoseGraph as PoseGraphMessage
 from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
 from nss_ros import topics
 from nss_ros.config import RegistrationNodeConfig
-from nss_ros.errors import ConfigError, InputError
+from nss_ros.errors import ConfigError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.messages import fragment_from, pair_from, relative_transform_message, rosidl_family
 from nss_ros.nodes.diagnostics import Health, publish_diagnostics
+from nss_ros.nodes.intake import converted
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
-from nss_ros.nodes.qos import publisher_qos, subscription_qos
+from nss_ros.nodes.qos import latest_qos, publisher_qos, subscription_qos
 from nss_ros.nodes.spin import Background, run_node
 from nss_ros.registration.method import load_method
 from nss_ros.registration.pool import RegistrationPool
@@ -71,36 +72,28 @@ class Registration(Node):
             topics.RELATIVE_TRANSFORMS.name,
             publisher_qos(topics.RELATIVE_TRANSFORMS),
         )
-        for message_type, topic, callback in (
-            (PoseGraphMessage, topics.POSE_GRAPH, self._on_pose_graph),
-            (FragmentMessage, topics.FRAGMENTS, self._on_fragment),
-            (PairMessage, topics.FRAGMENT_PAIRS, self._on_pair),
+        for message_type, topic, callback, qos in (
+            (PoseGraphMessage, topics.POSE_GRAPH, self._on_pose_graph, latest_qos),
+            (FragmentMessage, topics.FRAGMENTS, self._on_fragment, subscription_qos),
+            (PairMessage, topics.FRAGMENT_PAIRS, self._on_pair, subscription_qos),
         ):
-            self.create_subscription(message_type, topic.name, callback, subscription_qos(topic))
+            self.create_subscription(message_type, topic.name, callback, qos(topic))
         publish_diagnostics(self, self._health)
 
     def _on_fragment(self, message: FragmentMessage) -> None:
-        try:
-            self._events.put(fragment_from(message))
-        except InputError as error:
-            self.get_logger().error(f"Fragment '{message.id}' ignored: {error}")
+        fragment = converted(self, fragment_from, message)
+        if fragment is not None:
+            self._events.put(fragment)
 
     def _on_pair(self, message: PairMessage) -> None:
-        try:
-            pair = pair_from(message)
-        except InputError as error:
-            self.get_logger().error(f"Pair ignored: {error}")
-            return
-        if shard_of(pair, self._config.shard_count) == self._config.shard_index:
+        pair = converted(self, pair_from, message)
+        if pair and shard_of(pair, self._config.shard_count) == self._config.shard_index:
             self._events.put(pair)
 
     def _on_pose_graph(self, message: PoseGraphMessage) -> None:
         """Remember what was answered, by this node before it was restarted for example."""
-        for edge in message.edges:
-            try:
-                self._answered.add(pair_from(edge))
-            except InputError:
-                continue
+        pairs = (converted(self, pair_from, edge) for edge in message.edges)
+        self._answered.update(pair for pair in pairs if pair)
 
     def _health(self) -> Health:
         open_pairs = len(self._asked - self._answered)
@@ -136,7 +129,9 @@ class Registration(Node):
     def _add_fragment(self, fragment: Fragment) -> None:
         self._last_arrival = time.monotonic()
         if fragment.id in self._fragments:
-            self.get_logger().warning(f"Fragment {fragment.id} came again: the first is kept.")
+            self.get_logger().warning(
+                f"Fragment {fragment.id} came again, as others may: the first is kept.", once=True
+            )
             return
         self._fragments.add(fragment.id)
         self._pool.add_fragment(fragment)
