@@ -8,8 +8,7 @@ and that the temporal change ratio is taken within convex hulls. The formulas be
 reading of that:
 
 - overlap ratio: the share of source points that have a target point within tau after
-  ground-truth alignment (the form of Predator, whose first author is of both papers);
-  it is not symmetric.
+  ground-truth alignment; it is not symmetric.
 - temporal change ratio: of all points of both fragments that lie in the convex hull of the
   other, the share without a point of the other within tau; it is symmetric. What one fragment
   does not see because it is hidden counts as changed, so same-stage pairs are not at zero.
