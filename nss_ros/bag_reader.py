@@ -86,11 +86,6 @@ class BagReader:
 
     def _records(self, file: Path) -> Iterator[Any]:
         with file.open("rb") as stream:
-            magic = stream.read(8)
-            if magic != b"\x89MCAP0\r\n":
-                found = "is empty" if not magic else "is not an MCAP file"
-                raise BagError(f"{file} {found}: expected a rosbag2 bag with MCAP storage.")
-            stream.seek(0)
             try:
                 yield from StreamReader(stream, validate_crcs=True).records
             except (McapError, CRCValidationError, EOFError):
@@ -104,23 +99,15 @@ def bag_files(path: Path) -> list[Path]:
     """The MCAP files of a bag in order.
 
     Raises:
-        BagError: there is none.
+        BagError: there is none, or one is not MCAP.
     """
-    if path.is_file():
-        return [path]
-    if not path.exists():
-        raise BagError(f"There is no bag at {path}: give the folder of a rosbag2 MCAP bag.")
-    listed = _listed_files(path / "metadata.yaml")
-    files = [path / name for name in listed] if listed else sorted(path.glob("*.mcap"))
-    if not files:
-        raise BagError(f"{path} holds no .mcap file: give the folder of a rosbag2 MCAP bag.")
+    files = [path] if path.is_file() else _folder_files(path)
     for file in files:
-        if not file.is_file():
-            raise BagError(f"{file} is missing, although {path}/metadata.yaml lists it.")
-        if file.suffix != ".mcap":
-            raise BagError(
-                f"{file} is not MCAP: convert the bag with 'ros2 bag convert' (storage_id: mcap)."
-            )
+        with file.open("rb") as stream:
+            magic = stream.read(8)
+        if magic != b"\x89MCAP0\r\n":
+            found = "is empty" if not magic else "is not an MCAP file"
+            raise BagError(f"{file} {found}: expected a rosbag2 bag with MCAP storage.")
     return files
 
 
@@ -159,6 +146,23 @@ def decode(message: RawMessage) -> Any:
 def encode(message: Any) -> bytes:
     """CDR bytes of a message of rosbags' classes."""
     return bytes(jazzy_typestore().serialize_cdr(message, message.__msgtype__))
+
+
+def _folder_files(path: Path) -> list[Path]:
+    if not path.exists():
+        raise BagError(f"There is no bag at {path}: give the folder of a rosbag2 MCAP bag.")
+    listed = _listed_files(path / "metadata.yaml")
+    files = [path / name for name in listed] if listed else sorted(path.glob("*.mcap"))
+    if not files:
+        raise BagError(f"{path} holds no .mcap file: give the folder of a rosbag2 MCAP bag.")
+    for file in files:
+        if not file.is_file():
+            raise BagError(f"{file} is missing, although {path}/metadata.yaml lists it.")
+        if file.suffix != ".mcap":
+            raise BagError(
+                f"{file} is not MCAP: convert the bag with 'ros2 bag convert' (storage_id: mcap)."
+            )
+    return files
 
 
 def _listed_files(path: Path) -> list[str]:

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nss_ros.errors import ConfigError
 
@@ -28,6 +28,16 @@ class Section(BaseModel):
 
 
 T = TypeVar("T", bound=Section)
+
+# Dates that do not exist are a ValueError, deep nesting ends in a RecursionError.
+_YAML_ERRORS = (yaml.YAMLError, ValueError, RecursionError)
+
+
+def _in_order(section: T, *limits: tuple[str, str]) -> T:
+    for low, high in limits:
+        if getattr(section, low) > getattr(section, high):
+            raise ValueError(f"{low} must not be more than {high}")
+    return section
 
 
 class PlayerConfig(Section):
@@ -227,6 +237,10 @@ class ViewpointConfig(Section):
         4.0, description="... and when there is no place left nearer than that, metres"
     )
 
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        return _in_order(self, ("min_height", "max_height"))
+
 
 class RigConfig(Section):
     """Three depth sensors on a turning tripod head (Matterport with PrimeSense sensors)."""
@@ -254,6 +268,15 @@ class RigConfig(Section):
     min_tripod_height: Positive = Field(1.5, description="Sensor above the floor, metres")
     max_tripod_height: Positive = Field(1.75, description="Sensor above the floor, metres")
     tilt: float = Field(0.5, ge=0, description="Sigma of the tripod's tilt per axis, degrees")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        return _in_order(
+            self,
+            ("min_range", "max_range"),
+            ("grazing_start", "grazing_end"),
+            ("min_tripod_height", "max_tripod_height"),
+        )
 
 
 class SimulationConfig(Section):
@@ -336,8 +359,8 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         data = yaml.safe_load(path.read_text())
     except OSError as error:
         raise ConfigError(f"Cannot read configuration {path}: {error.strerror}.") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigError(f"Configuration {path} is not valid YAML: {error}.") from error
+    except _YAML_ERRORS as error:
+        raise ConfigError(f"Configuration {path} is not valid YAML: {_one_line(error)}.") from error
     if data is None:
         return {}
     if not isinstance(data, dict):
@@ -354,4 +377,11 @@ def _apply_override(data: dict[str, Any], override: str) -> None:
         data = data.setdefault(section, {})
         if not isinstance(data, dict):
             raise ConfigError(f"'--set {override}': '{section}' is not a section.")
-    data[leaf] = yaml.safe_load(text)
+    try:
+        data[leaf] = yaml.safe_load(text)
+    except _YAML_ERRORS as error:
+        raise ConfigError(f"'--set {override}': '{text}' is not valid YAML; quote it.") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -31,3 +31,7 @@ class MethodError(NssError):
 
 class RunError(NssError):
     """A run of the ROS graph failed: a node died, or time ran out."""
+
+
+class NodeError(RunError):
+    """A node died; the message names it and where its output lies."""

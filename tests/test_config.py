@@ -32,6 +32,10 @@ def test_overrides_win_over_the_file_and_the_file_over_defaults(tmp_path: Path):
         ("pose_graph.start=luck", "pose_graph.start"),
         ("registration.icp.iterations=.nan", "registration.icp.iterations"),
         ("player", "needs the form"),
+        ("player.rate=[", "quote it"),
+        ("player.rate=2024-99-99", "quote it"),
+        ("registration.method=*x", "quote it"),
+        ("simulation.rig.min_tripod_height=2", "max_tripod_height"),
     ],
 )
 def test_a_wrong_override_is_named(override: str, message: str):
@@ -39,7 +43,7 @@ def test_a_wrong_override_is_named(override: str, message: str):
         load_config(None, [override])
 
 
-@pytest.mark.parametrize("text", ["[1, 2]", "a: [", "\x00", "player: 3"])
+@pytest.mark.parametrize("text", ["[1, 2]", "a: [", "\x00", "player: 3", "a: 2024-99-99"])
 def test_a_wrong_file_is_named(tmp_path: Path, text: str):
     file = tmp_path / "settings.yaml"
     file.write_text(text)

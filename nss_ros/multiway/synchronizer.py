@@ -7,7 +7,7 @@ point is called with a `MultiwayConfig` and returns a `Synchronizer`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol
 
 from nss_ros.config import MultiwayConfig
@@ -40,17 +40,25 @@ def synchronizer_names() -> list[str]:
     return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
 
 
+def find_synchronizer(name: str) -> EntryPoint:
+    """The entry point of a synchronizer, not loaded.
+
+    Raises:
+        MethodError: no such synchronizer is installed.
+    """
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        if entry.name == name:
+            return entry
+    raise MethodError(
+        f"There is no synchronizer '{name}': choose one of {', '.join(synchronizer_names())}."
+    )
+
+
 def load_synchronizer(config: MultiwayConfig) -> Synchronizer:
     """The synchronizer that a configuration names.
 
     Raises:
         MethodError: no such synchronizer is installed.
     """
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
-        if entry.name == config.synchronizer:
-            synchronizer: Synchronizer = entry.load()(config)
-            return synchronizer
-    raise MethodError(
-        f"There is no synchronizer '{config.synchronizer}': choose one of "
-        f"{', '.join(synchronizer_names())}."
-    )
+    synchronizer: Synchronizer = find_synchronizer(config.synchronizer).load()(config)
+    return synchronizer

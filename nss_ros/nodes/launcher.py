@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from nss_ros.errors import RunError
+from nss_ros.errors import NodeError
 from nss_ros.nodes.spin import LAUNCHER_VARIABLE
 
 _STOP_TIMEOUT = 20.0
@@ -82,7 +82,7 @@ class Launcher:
         """Look after the nodes.
 
         Raises:
-            RunError: one has ended; the message names it and quotes its last words.
+            NodeError: one has ended; the message names it and quotes its last words.
         """
         for node in self.nodes:
             status = node.process.poll()
@@ -93,7 +93,7 @@ class Launcher:
                 if status < 0
                 else (f"ended with status {status}")
             )
-            raise RunError(f"Node {node.name} {how}: {node.last_words()} (all of it: {node.log})")
+            raise NodeError(f"Node {node.name} {how}: {node.last_words()} (all of it: {node.log})")
 
     def stop(self) -> list[str]:
         """Interrupt the nodes in order of their start reversed, the first (recorder) last.

@@ -10,12 +10,17 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.validate_namespace import validate_namespace
+
 from nss_ros.bag_reader import bag_files
 from nss_ros.config import NssConfig
-from nss_ros.errors import RunError
+from nss_ros.errors import InputError, NodeError, RunError
+from nss_ros.multiway.synchronizer import find_synchronizer
 from nss_ros.nodes.launcher import Launcher
 from nss_ros.nodes.monitor import Monitor, Progress
 from nss_ros.nodes.parameters import ros_parameters
+from nss_ros.registration.method import find_method
 
 _SPIN = 0.2
 _DISCOVERY = 1.0
@@ -46,10 +51,15 @@ def run_mapping(
         The final state.
 
     Raises:
+        InputError: the namespace is not one.
+        MethodError: a method is not installed.
         BagError: a bag cannot be read.
         RunError: a node died, another graph is in the way, or time ran out. What was recorded
             until then is kept.
     """
+    _check_namespace(namespace)
+    find_method(config.registration.method)
+    find_synchronizer(config.pose_graph.synchronizer)
     for bag in bags:
         bag_files(bag)
     if output.exists():
@@ -59,7 +69,7 @@ def run_mapping(
         progress = _run(
             directory, bags, output, config, namespace, registration_nodes, timeout, report
         )
-    except RunError:
+    except NodeError:
         raise  # its message points to the output of a node
     except BaseException:
         shutil.rmtree(directory)
@@ -90,8 +100,20 @@ def _run(
         unclean = launcher.stop()
         monitor.close()
     if unclean:
-        raise RunError(f"Node {unclean[0]} did not stop cleanly: see {directory / unclean[0]}.log.")
+        raise NodeError(
+            f"Node {unclean[0]} did not stop cleanly: see {directory / unclean[0]}.log."
+        )
     return progress
+
+
+def _check_namespace(namespace: str) -> None:
+    try:
+        validate_namespace(f"/{namespace.strip('/')}")
+    except InvalidNamespaceException as error:
+        raise InputError(
+            f"'{namespace}' cannot be a namespace: use letters, digits and '_', with single '/' "
+            "between parts that do not start with a digit."
+        ) from error
 
 
 def _start(

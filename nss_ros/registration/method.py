@@ -11,7 +11,7 @@ The entry point is called with a `RegistrationConfig` and returns a `Method`.
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol
 
 from nss_ros.config import RegistrationConfig
@@ -41,17 +41,25 @@ def method_names() -> list[str]:
     return sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)})
 
 
+def find_method(name: str) -> EntryPoint:
+    """The entry point of a registration method, not loaded.
+
+    Raises:
+        MethodError: no such method is installed.
+    """
+    for entry in entry_points(group=ENTRY_POINT_GROUP):
+        if entry.name == name:
+            return entry
+    raise MethodError(
+        f"There is no registration method '{name}': choose one of {', '.join(method_names())}."
+    )
+
+
 def load_method(config: RegistrationConfig) -> Method:
     """The method that a configuration names.
 
     Raises:
         MethodError: no such method is installed, or it lacks something that it needs.
     """
-    for entry in entry_points(group=ENTRY_POINT_GROUP):
-        if entry.name == config.method:
-            method: Method = entry.load()(config)
-            return method
-    raise MethodError(
-        f"There is no registration method '{config.method}': choose one of "
-        f"{', '.join(method_names())}."
-    )
+    method: Method = find_method(config.method).load()(config)
+    return method

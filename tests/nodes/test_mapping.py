@@ -12,7 +12,7 @@ import pytest
 
 from nss_ros.bag import read_log, write_bag
 from nss_ros.config import load_config
-from nss_ros.errors import BagError, RunError
+from nss_ros.errors import BagError, NodeError, NssError, RunError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import inverse, rotation_angle
 from nss_ros.multiway.pose_graph import NodeStatus
@@ -115,6 +115,23 @@ def test_a_bag_that_is_not_there_is_named_before_anything_starts(tmp_path):
     assert not (tmp_path / "log").exists()
 
 
+@pytest.mark.parametrize(
+    ("namespace", "settings", "message"),
+    [
+        ("two words", [], "'two words' cannot be a namespace"),
+        ("a//b", [], "'a//b' cannot be a namespace"),
+        ("", ["registration.method=luck"], "no registration method 'luck'"),
+        ("", ["pose_graph.synchronizer=luck"], "no synchronizer 'luck'"),
+    ],
+)
+def test_what_no_node_could_use_is_named_before_anything_starts(
+    tmp_path, room_bag, namespace, settings, message
+):
+    with pytest.raises(NssError, match=message):
+        run_mapping([room_bag], tmp_path / "log", load_config(None, settings), namespace=namespace)
+    assert not (tmp_path / "log").exists()
+
+
 def test_an_existing_log_is_never_overwritten(tmp_path, room_bag):
     (tmp_path / "log").mkdir()
     with pytest.raises(RunError, match="exists already"):
@@ -122,8 +139,8 @@ def test_an_existing_log_is_never_overwritten(tmp_path, room_bag):
 
 
 def test_a_node_that_cannot_start_is_named(tmp_path, room_bag):
-    config = load_config(None, [*SETTINGS, "registration.method=magic"])
-    with pytest.raises(RunError, match=r"registration.*no registration method 'magic'"):
+    config = load_config(None, [*SETTINGS, f"registration.seed={10**30}"])
+    with pytest.raises(NodeError, match=r"Node registration ended.*'seed'"):
         run_mapping([room_bag], tmp_path / "log", config, timeout=100)
 
 
