@@ -45,10 +45,10 @@ setup(
     entry_points={
         "console_scripts": [
             "nss = nss_ros.cli.main:main",
-            "fragment_player = nss_ros.nodes.fragment_player:main",
-            "registration = nss_ros.nodes.registration:main",
-            "pose_graph = nss_ros.nodes.pose_graph:main",
-            "recorder = nss_ros.nodes.recorder:main",
+            "fragment_player = nss_ros.nodes.start:fragment_player",
+            "registration = nss_ros.nodes.start:registration",
+            "pose_graph = nss_ros.nodes.start:pose_graph",
+            "recorder = nss_ros.nodes.start:recorder",
         ],
         "nss_ros.registration_methods": [
             "fpfh_ransac = nss_ros.registration.fpfh:FpfhRansac",

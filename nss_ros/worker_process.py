@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 _WATCH_PERIOD = 0.5
 _THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class _Process(SpawnProcess):
+    """Never sees Ctrl-C, which a terminal sends to all processes: the parent ends this one."""
+
+    def start(self) -> None:
+        # Inherited, so that it holds from the first instruction of the child on.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            super().start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+class _Context(SpawnContext):
+    Process = _Process
 
 
 def worker_pool(
@@ -31,7 +48,7 @@ def worker_pool(
     os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
     return ProcessPoolExecutor(
         workers,
-        mp_context=multiprocessing.get_context("spawn"),
+        mp_context=_Context(),
         initializer=_start,
         initargs=(os.getpid(), initializer, arguments),
     )

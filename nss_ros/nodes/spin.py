@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
@@ -51,7 +52,9 @@ class Background:
         try:
             self._work()
         except BaseException as error:
-            self.error = error
+            # Ctrl-C ends the context under a thread that is just publishing: no failure.
+            if rclpy.ok() or not isinstance(error, RCLError):
+                self.error = error
             rclpy.try_shutdown()
 
 
@@ -74,6 +77,9 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> int:
         executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
         pass
+    except RCLError:
+        if rclpy.ok():
+            raise
     except NssError as error:
         status = _report(error)
     finally:
