@@ -304,7 +304,18 @@ class PoseGraphNode(Node):
             elif self._quiet() and not self._settled and not self._outdated():
                 self._settled = True
                 self._publish_graph()
+                self._log_progress()
             self.background.stopping.wait(_POLL)
+
+    def _log_progress(self) -> None:
+        with self._lock:
+            answered = sum(pair in self._map.results for pair in self._map.pairs)
+            pairs = len(self._map.pairs)
+        placed = sum(node.status is NodeStatus.PLACED for node in self._graph.nodes)
+        self.get_logger().info(
+            f"Settled: {placed} of {len(self._graph.nodes)} fragments placed, "
+            f"{answered} of {pairs} pairs answered."
+        )
 
     def _quiet(self) -> bool:
         unheard = time.monotonic() - self._last_change >= self._config.settle_time
