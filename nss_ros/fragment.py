@@ -12,7 +12,10 @@ from nss_ros.errors import InputError
 
 Points = NDArray[np.float32]
 
-_ID_PATTERN = re.compile(r"Bldg(?P<area>[A-Za-z0-9.-]+)_Stage(?P<stage>\d+)_Spot(?P<spot>\d+)")
+# Nine digits fit the uint32 of the messages.
+_ID_PATTERN = re.compile(
+    r"Bldg(?P<area>[A-Za-z0-9.-]+)_Stage(?P<stage>[0-9]{1,9})_Spot(?P<spot>[0-9]{1,9})"
+)
 
 
 @dataclass(frozen=True, order=True, slots=True)

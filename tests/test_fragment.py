@@ -21,7 +21,17 @@ def test_an_id_survives_its_text(id_):
     assert FragmentId.parse(f"{id_}.ply") == id_
 
 
-@pytest.mark.parametrize("text", ["", "Bldg1", "Bldg1_Stage_Spot2", "Bldg1_Stage-1_Spot2", "x.ply"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "Bldg1",
+        "Bldg1_Stage_Spot2",
+        "Bldg1_Stage-1_Spot2",
+        "x.ply",
+        "Bldg1_Stage1_Spot4294967296",
+    ],
+)
 def test_what_is_no_id_is_refused_by_name(text):
     with pytest.raises(InputError, match=f"'{text}' is not a fragment id"):
         FragmentId.parse(text)

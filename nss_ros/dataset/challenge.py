@@ -100,7 +100,7 @@ def read_graphs(path: Path) -> list[ChallengeGraph]:
         FormatError: the file cannot be read, or is not made of graphs.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf8"))
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise FormatError(f"Cannot read pose graphs {path}: {error.strerror}.") from error
     except (ValueError, RecursionError) as error:
@@ -211,7 +211,7 @@ def _graph(data: Any, file: str, default_name: str) -> ChallengeGraph:
     if edges is not None and not isinstance(edges, list):
         raise FormatError(f"'edges' of {place} must be a list.")
     return ChallengeGraph(
-        name=str(name),
+        name=str(name).encode(errors="replace").decode(),  # JSON may hold half a character
         nodes=tuple(_node(node, place) for node in data["nodes"]),
         edges=None if edges is None else tuple(_edge(edge, place) for edge in edges),
         file=file,
@@ -274,7 +274,7 @@ def _matrix(value: Any, what: str, place: str) -> Transform | None:
         return None
     try:
         matrix = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.zeros(0)
     if matrix.shape != (4, 4):
         raise FormatError(f"The transform of {what} of {place} is not a 4x4 matrix of numbers.")
@@ -286,7 +286,10 @@ def _ratio(value: Any, what: str, place: str) -> float:
         return float("nan")
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise FormatError(f"A ratio of {what} of {place} is not a number: {value!r}.")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError as error:
+        raise FormatError(f"A ratio of {what} of {place} is too large.") from error
 
 
 def _fragment_id(node: ChallengeNode, graph: ChallengeGraph) -> FragmentId:

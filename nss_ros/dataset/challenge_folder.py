@@ -136,8 +136,8 @@ def _selected_graphs(folder: Path, pattern: str | None) -> list[ChallengeGraph]:
             graphs += read_graphs(file)
         else:
             graphs += [g for g in _graphs_or_none(file) if fnmatch(g.name, pattern)]
-    if not graphs and pattern is None:
-        raise InputError(f"The JSON files in {folder} hold no pose graph: their lists are empty.")
+    if pattern is None and not any(graph.nodes for graph in graphs):
+        raise InputError(f"The JSON files in {folder} hold no fragment: their lists are empty.")
     if not graphs:
         raise InputError(
             f"No pose graph in {folder} matches '{pattern}': its files are "
@@ -171,7 +171,7 @@ def _check_names(graphs: Sequence[ChallengeGraph]) -> None:
         if graph.name in files:
             raise FormatError(
                 f"The graph name {graph.name} occurs in {files[graph.name]} and in {graph.file}: "
-                "choose one of the files with --graph."
+                "rename one, or choose one of the files with --graph."
             )
         files[graph.name] = graph.file
 

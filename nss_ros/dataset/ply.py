@@ -101,8 +101,8 @@ def _read_header(stream: BinaryIO, path: Path) -> tuple[str, list[_Element]]:
             case ["comment" | "obj_info", *_]:
                 pass
             case _ if line.endswith(b"\n"):
-                text = line.decode("ascii", errors="replace").strip()
-                raise FormatError(f"The header of {path} has a line that is not PLY: '{text}'.")
+                text = ascii(line.decode("ascii", errors="replace").strip()[:60])
+                raise FormatError(f"The header of {path} has a line that is not PLY: {text}.")
             case _:
                 break
     raise FormatError(f"The header of {path} does not end: the file is truncated; copy it again.")

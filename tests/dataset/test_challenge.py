@@ -151,6 +151,7 @@ LONG = (np.eye(4) * 1.5).tolist()
         (changed((("nodes", 1), 5)), "A node of .* is not an object"),
         (changed((("nodes", 1, "id"), 0)), "Node id 0 occurs twice"),
         (changed((("nodes", 1, "id"), None)), "needs a number or a text as 'id'"),
+        (changed((("nodes", 1, "global_transform"), [[10**400] * 4] * 4)), "not a 4x4 matrix"),
         (changed((("nodes", 1, "id"), True)), "needs a number or a text as 'id'"),
         (
             changed((("nodes", 2, "name"), "Bldg1_Stage4_Spot2.ply")),
