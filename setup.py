@@ -44,7 +44,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "nss = nss_ros.cli.main:main",
+            "nss = nss_ros.cli:main",
             "fragment_player = nss_ros.nodes.start:fragment_player",
             "registration = nss_ros.nodes.start:registration",
             "pose_graph = nss_ros.nodes.start:pose_graph",

@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from nss_ros.errors import ConfigError
+from nss_ros.files import write_file
 
 Positive = Annotated[float, Field(gt=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -334,8 +335,12 @@ def load_config(
 
 
 def write_config(config: Section, path: Path) -> None:
-    """Write all settings as YAML, to be read by `load_config`."""
-    path.write_text(yaml.safe_dump(config.model_dump(), sort_keys=False))
+    """Write all settings as YAML, to be read by `load_config`.
+
+    Raises:
+        FormatError: the file cannot be written.
+    """
+    write_file(path, yaml.safe_dump(config.model_dump(), sort_keys=False).encode())
 
 
 def validated(model: type[T], data: Any, origin: str) -> T:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from nss_ros.errors import FormatError, InputError
+from nss_ros.files import write_file
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.geometry import Transform, as_transform, is_transform, relative
 from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGraph
@@ -118,11 +119,7 @@ def write_graphs(path: Path, graphs: Sequence[ChallengeGraph]) -> None:
     Raises:
         FormatError: the file cannot be written.
     """
-    content = [_graph_fields(graph) for graph in graphs]
-    try:
-        path.write_text(json.dumps(content), encoding="utf8")
-    except OSError as error:
-        raise FormatError(f"Cannot write {path}: {error.strerror}.") from error
+    write_file(path, json.dumps([_graph_fields(graph) for graph in graphs]).encode())
 
 
 def fragment_ids(graph: ChallengeGraph) -> dict[NodeId, FragmentId]:

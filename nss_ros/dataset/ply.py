@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.errors import FormatError
+from nss_ros.files import write_file
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -71,10 +72,7 @@ def write_ply(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
         "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(table)}\n{properties}end_header\n"
     )
-    try:
-        path.write_bytes(header.encode() + table.tobytes())
-    except OSError as error:
-        raise FormatError(f"Cannot write point cloud {path}: {error.strerror}.") from error
+    write_file(path, header.encode() + table.tobytes())
 
 
 def _read_header(stream: BinaryIO, path: Path) -> tuple[str, list[_Element]]:

@@ -12,7 +12,8 @@ import numpy as np
 
 from nss_ros.bag import Log
 from nss_ros.dataset.ply import write_ply
-from nss_ros.errors import FormatError, InputError
+from nss_ros.errors import InputError
+from nss_ros.files import write_file
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.geometry import Matrix, Transform, adjoint, inverse, to_quaternion, transform_points
 from nss_ros.multiway.pose_graph import EdgeStatus, Node, NodeStatus, PoseGraph
@@ -120,10 +121,7 @@ def _local_information(log: Log, pair: FragmentPair, T_target_source: Transform)
 
 
 def _write_lines(path: Path, lines: list[str]) -> None:
-    try:
-        path.write_text("".join(f"{line}\n" for line in lines))
-    except OSError as error:
-        raise FormatError(f"Cannot write {path}: {error.strerror}.") from error
+    write_file(path, "".join(f"{line}\n" for line in lines).encode())
 
 
 # By file ending; each returns the number of fragments written.

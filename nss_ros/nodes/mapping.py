@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -9,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import IO
 
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.validate_namespace import validate_namespace
@@ -88,6 +90,7 @@ def _run(
     timeout: float,
     report: Callable[[Progress], None],
 ) -> Progress:
+    lock = _only_run(namespace)
     monitor = Monitor(namespace)
     launcher = Launcher(namespace, directory)
     try:
@@ -99,11 +102,29 @@ def _run(
     finally:
         unclean = launcher.stop()
         monitor.close()
+        lock.close()
     if unclean:
         raise NodeError(
             f"Node {unclean[0]} did not stop cleanly: see {directory / unclean[0]}.log."
         )
     return progress
+
+
+def _only_run(namespace: str) -> IO[str]:
+    """A lock against runs that start at the same moment and cannot see each other's nodes yet.
+
+    Raises:
+        RunError: another run holds it.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID", "0")
+    name = f"nss_map_{os.getuid()}_{domain}_{namespace.strip('/').replace('/', '-')}.lock"
+    lock = (Path(tempfile.gettempdir()) / name).open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        lock.close()
+        raise _company("another 'nss map'") from error
+    return lock
 
 
 def _check_namespace(namespace: str) -> None:
@@ -129,7 +150,14 @@ def _start(
     recorder = config.recorder.model_copy(
         update={"output": str(output.absolute()), "metadata_file": str(metadata)}
     )
-    player = config.player.model_copy(update={"bags": [str(bag.absolute()) for bag in bags]})
+    # A run ends by itself, so its player neither waits for a person nor starts again.
+    player = config.player.model_copy(
+        update={
+            "bags": [str(bag.absolute()) for bag in bags],
+            "start_paused": False,
+            "loop": False,
+        }
+    )
     launcher.start("recorder", ros_parameters(recorder))
     launcher.start("pose_graph", ros_parameters(config.pose_graph))
     workers = config.registration.workers or max(1, (os.cpu_count() or 1) // registration_nodes)
@@ -166,7 +194,11 @@ def _watch(
 def _refuse_company(monitor: Monitor) -> None:
     others = monitor.foreign_publishers()
     if others:
-        raise RunError(
-            f"Another graph is running here ({', '.join(others)}): stop it, or give this run its "
-            "own --namespace or ROS_DOMAIN_ID."
-        )
+        raise _company(", ".join(others))
+
+
+def _company(others: str) -> RunError:
+    return RunError(
+        f"Another graph is running here ({others}): stop it, or give this run its own "
+        "--namespace or ROS_DOMAIN_ID."
+    )

@@ -189,6 +189,14 @@ def test_a_killed_node_is_named_and_the_log_survives(tmp_path, room_bag, victim)
     assert survived.partial == (victim == "recorder")
 
 
+def test_two_runs_do_not_mix(tmp_path, room_bag):
+    runs = [_run_map(room_bag, tmp_path / name) for name in ("one", "two")]
+    errors = [run.communicate(timeout=200)[1] for run in runs]
+    statuses = [run.returncode for run in runs]
+    assert sorted(statuses) == [0, 1]
+    assert "Another graph is running here" in " ".join(errors[statuses.index(1)].split())
+
+
 def test_nothing_outlives_a_killed_run(tmp_path, room_bag):
     log = tmp_path / "log"
     run = _run_map(room_bag, log)
