@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,15 +101,10 @@ class Launcher:
             Names of the nodes that had to be killed or ended with an error.
         """
         unclean = []
-        for node in reversed(self.nodes[1:]):
-            _interrupt(node)
-        for node in [*reversed(self.nodes[1:]), *self.nodes[:1]]:
-            _interrupt(node)
-            if not _ended(node):
-                _kill(node)
-                unclean.append(node.name)
-            elif node.process.returncode != 0:
-                unclean.append(node.name)
+        for group in (self.nodes[:0:-1], self.nodes[:1]):
+            for node in group:
+                _interrupt(node)
+            unclean += [node.name for node in group if not _stopped_cleanly(node)]
         return unclean
 
 
@@ -119,15 +113,10 @@ def _interrupt(node: NodeProcess) -> None:
         node.process.send_signal(signal.SIGINT)
 
 
-def _ended(node: NodeProcess) -> bool:
-    deadline = time.monotonic() + _STOP_TIMEOUT
-    while time.monotonic() < deadline:
-        if node.process.poll() is not None:
-            return True
-        time.sleep(0.02)
-    return False
-
-
-def _kill(node: NodeProcess) -> None:
-    os.killpg(node.process.pid, signal.SIGKILL)
-    node.process.wait()
+def _stopped_cleanly(node: NodeProcess) -> bool:
+    try:
+        return node.process.wait(_STOP_TIMEOUT) == 0
+    except subprocess.TimeoutExpired:
+        os.killpg(node.process.pid, signal.SIGKILL)
+        node.process.wait()
+        return False

@@ -12,7 +12,6 @@ from typing import Any
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
-from rclpy.exceptions import ROSInterruptException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 from nss_ros.errors import NssError
@@ -68,6 +67,10 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> int:
     """
     node: Any = None
     status = 0
+    # rclpy's own handler ends the context, and spinning with it. Python's would also raise
+    # KeyboardInterrupt, wherever that may be: in the middle of closing a log, for example.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: None)
     try:
         rclpy.init(args=args)
         _follow_launcher()
@@ -75,17 +78,17 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> int:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException, ROSInterruptException):
+    except ExternalShutdownException:
         pass
-    except RCLError:
-        if rclpy.ok():
-            raise
     except NssError as error:
         status = _report(error)
+    except Exception:
+        if rclpy.ok():  # else the node was told to stop while it was starting
+            raise
     finally:
-        # A second Ctrl-C must not interrupt the closing of files.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        # Ignored from here on: a handler of ours would not outlive the interpreter's own end.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
         if node is not None:
             status = _close(node) or status
         rclpy.try_shutdown()

@@ -1,5 +1,6 @@
 """Ctrl-C at awkward moments: no failure, no traceback."""
 
+import signal
 import subprocess
 import sys
 
@@ -64,3 +65,13 @@ def test_another_error_after_the_end_of_the_context_is_a_failure():
     rclpy.shutdown()
     background.stop()
     assert isinstance(background.error, OSError)
+
+
+def test_impatient_interrupts_still_end_a_node_cleanly(graph, tmp_path):
+    process = graph.start("recorder", output=str(tmp_path / "log"))
+    graph.wait((tmp_path / "log").exists)
+    graph.wait(lambda: graph.node.count_subscribers("/fragments") == 1)
+    while process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    assert process.returncode == 0
+    assert (tmp_path / "log/metadata.yaml").exists()
