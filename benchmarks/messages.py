@@ -8,6 +8,7 @@ the one before has arrived, so the figure is latency without queueing.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import sys
@@ -16,6 +17,7 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rich.console import Console
 from rich.table import Table
 
@@ -48,7 +50,7 @@ def main() -> None:
         )
     console = Console()
     console.print(table)
-    console.print("python " + " ".join(sys.argv))
+    console.print("./nss python " + " ".join(sys.argv))
 
 
 def _raw_copy(points: np.ndarray) -> float:
@@ -98,7 +100,8 @@ def _subscribe(connection: Connection) -> None:
     node.create_subscription(
         FragmentMessage, topics.FRAGMENTS.name, receive, subscription_qos(topics.FRAGMENTS)
     )
-    rclpy.spin(node)
+    with contextlib.suppress(ExternalShutdownException):
+        rclpy.spin(node)
 
 
 if __name__ == "__main__":

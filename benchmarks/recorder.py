@@ -27,6 +27,7 @@ from nss_ros.nodes.qos import publisher_qos
 
 BAG = Path(__file__).parents[1] / "bags" / "three_stages"
 ROUNDS = 20
+DEPTH = 24
 
 
 def main() -> None:
@@ -46,7 +47,7 @@ def main() -> None:
     table.add_row("recorder, over DDS", f"{recorded:.2f}", f"{size / recorded:.0f}", ratio)
     console = Console()
     console.print(table)
-    console.print("python " + " ".join(sys.argv))
+    console.print("./nss python " + " ".join(sys.argv))
 
 
 def _copy(messages: list[bytes], path: Path) -> float:
@@ -64,13 +65,14 @@ def _record(messages: list[bytes], output: Path) -> float:
     rclpy.init()
     node = rclpy.create_node("benchmark_publisher")
     publisher = node.create_publisher(
-        FragmentMessage, topics.FRAGMENTS.name, publisher_qos(topics.FRAGMENTS, 1)
+        FragmentMessage, topics.FRAGMENTS.name, publisher_qos(topics.FRAGMENTS, DEPTH)
     )
     while publisher.get_subscription_count() == 0:
         time.sleep(0.05)
     begin = time.perf_counter()
-    for message in messages:
-        publisher.publish(message)
+    for start in range(0, len(messages), DEPTH):
+        for message in messages[start : start + DEPTH]:
+            publisher.publish(message)
         while not publisher.wait_for_all_acked(Duration(seconds=1.0)):
             pass
     recorder.terminate()

@@ -81,7 +81,7 @@ def measure(bag: Path, count: int | None) -> None:
             _recall(answers),
         )
     console.print(table)
-    console.print("python " + " ".join(sys.argv))
+    console.print("./nss python " + " ".join(sys.argv))
 
 
 def _answers(
