@@ -25,8 +25,7 @@ from nss_ros.errors import ConfigError, NssError
 
 T = TypeVar("T", bound=Section)
 
-_LARGEST = 2**63 - 1
-_HUGE = 1.7e308
+_SIGNS = {"ge": "at least", "gt": "more than", "le": "at most"}
 
 
 def declare_parameters(node: Node, model: type[T]) -> T:
@@ -114,24 +113,26 @@ def _descriptor(field: FieldInfo) -> ParameterDescriptor:
     limits = {key: value for item in field.metadata for key, value in _limits(item)}
     descriptor = ParameterDescriptor(description=field.description or "")
     if get_origin(field.annotation) is Literal:
-        choices = ", ".join(get_args(field.annotation))
-        descriptor.additional_constraints = f"one of: {choices}"
-    elif field.annotation is int and limits:
-        low = int(limits.get("ge", limits.get("gt", -1) + 1 if "gt" in limits else -_LARGEST))
-        high = int(limits.get("le", _LARGEST))
-        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=0)]
-    elif field.annotation is float:
-        # Whole numbers are meant as floats: -p rate:=2 must not be a type error.
-        descriptor.dynamic_typing = True
-        if limits:
-            low_f = float(limits.get("ge", limits.get("gt", -_HUGE)))
-            high_f = float(limits.get("le", _HUGE))
-            descriptor.floating_point_range = [
-                FloatingPointRange(from_value=low_f, to_value=high_f, step=0.0)
-            ]
-    elif field.default == []:
-        descriptor.dynamic_typing = True
+        descriptor.additional_constraints = f"one of: {', '.join(get_args(field.annotation))}"
+    elif limits.keys() == {"ge", "le"}:
+        _set_range(descriptor, field.annotation, limits["ge"], limits["le"])
+    elif limits:
+        # One-sided limits have no place in a ROS range; they are checked all the same.
+        descriptor.additional_constraints = " and ".join(
+            f"{_SIGNS[key]} {value:g}" for key, value in limits.items()
+        )
+    # Whole numbers are meant as floats: -p rate:=2 must not be a type error.
+    descriptor.dynamic_typing = field.annotation is float or field.default == []
     return descriptor
+
+
+def _set_range(descriptor: ParameterDescriptor, kind: Any, low: float, high: float) -> None:
+    if kind is int:
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=0)]
+    else:
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
+        ]
 
 
 def _limits(item: Any) -> Iterator[tuple[str, float]]:
