@@ -63,7 +63,7 @@ class Graph:
     def output(self, name: str) -> str:
         return (self.directory / f"{name}.log").read_text()
 
-    def wait(self, condition: Callable[[], object], timeout: float = 60.0) -> None:
+    def wait(self, condition: Callable[[], object], timeout: float = 180.0) -> None:
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, self._outputs()
