@@ -78,11 +78,6 @@ def time_message(stamp: int, family: MessageFamily) -> Message:
     return family.make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
 
 
-def stamp_from(time: Message) -> int:
-    """Nanoseconds of a builtin_interfaces/Time."""
-    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
-
-
 def header_message(stamp: int, frame_id: str, family: MessageFamily) -> Message:
     """std_msgs/Header; `stamp` in nanoseconds."""
     stamp_message = time_message(stamp, family)

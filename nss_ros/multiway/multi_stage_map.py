@@ -170,7 +170,6 @@ def map_points(
     fragments: dict[FragmentId, Fragment],
     graph: PoseGraph,
     voxel_size: float,
-    stage: int | None = None,
 ) -> tuple[Points, NDArray[np.float32]]:
     """The points of the largest component in the map frame.
 
@@ -178,7 +177,6 @@ def map_points(
         fragments: by id.
         graph: poses.
         voxel_size: metres; stages are voxelised apart, so that change stays visible.
-        stage: this stage only.
 
     Returns:
         Points (n, 3) float32, and their stages (n,) float32.
@@ -186,7 +184,7 @@ def map_points(
     by_stage: dict[int, list[Points]] = {}
     for node in graph.nodes:
         placed = node.status is NodeStatus.PLACED and node.component == 0
-        if placed and node.id in fragments and stage in (None, node.id.stage):
+        if placed and node.id in fragments:
             points = transform_points(node.T_map_fragment, fragments[node.id].points)
             by_stage.setdefault(node.id.stage, []).append(points.astype(np.float32))
     clouds = [np.zeros((0, 3), np.float32)]

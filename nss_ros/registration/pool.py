@@ -71,7 +71,10 @@ class RegistrationPool:
         self._waiting.append(_Task(pair.source, pair))
 
     def reconfigure(self, config: RegistrationConfig, workers: int, memory_limit: int) -> None:
-        """Use other settings for the pairs that are not running yet; features are made anew."""
+        """Use other settings for the pairs that are not running yet; features are made anew.
+
+        Fragments that came before stay voxelised as they are: `voxel_size` counts for later ones.
+        """
         self._config, self._workers = config, workers or os.cpu_count() or 1
         self._memory_limit = memory_limit
         self._waiting.extendleft(reversed(self._running.values()))
@@ -80,11 +83,6 @@ class RegistrationPool:
         for path in self._directory.glob("*.features"):
             path.unlink()
         self._executor = self._start()
-
-    @property
-    def idle(self) -> bool:
-        """Nothing waits and nothing runs."""
-        return not self._waiting and not self._running
 
     def poll(self, timeout: float) -> list[RelativeTransform]:
         """Answers that came within `timeout` seconds; one for every submitted pair in the end."""
