@@ -97,16 +97,23 @@ def load_map(path: Path) -> SavedMap:
 
     Raises:
         BagError: there is no bag.
-        FormatError: the bag holds no pose graph.
+        FormatError: the bag holds no pose graph, or lacks a fragment that a constraint names.
     """
     log = read_log(path)
     if log.pose_graph is None:
         raise FormatError(f"{path} holds no pose graph: give a saved map or the log of a run.")
     edges = log.pose_graph.edges
+    constraints = tuple(edge for edge in edges if edge.kind is EdgeKind.MANUAL)
+    for id_ in (id_ for edge in constraints for id_ in (edge.pair.source, edge.pair.target)):
+        if id_ not in log.fragments:
+            raise FormatError(
+                f"{path} has a constraint on {id_} but not its points: give a saved map, or a log "
+                "recorded with record_fragments."
+            )
     return SavedMap(
         log.fragments,
         log.relative_transforms,
-        tuple(edge for edge in edges if edge.kind is EdgeKind.MANUAL),
+        constraints,
         tuple(edge.pair for edge in edges if edge.reason == EXCLUDED),
         log.pose_graph,
     )

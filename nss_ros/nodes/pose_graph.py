@@ -325,7 +325,7 @@ class PoseGraphNode(Node):
         return self._map.version != self._solved_version
 
     def _due(self) -> bool:
-        # Long optimisations get longer pauses, so that they take half of the time at most.
+        # Long optimisations get longer pauses, so that they take a third of the time at most.
         pause = max(self._config.update_period, 2 * self._solve_time)
         rested = time.monotonic() - self._last_solve >= pause
         return self._outdated() and (self._quiet() or rested or bool(self._waiting_for_optimum))

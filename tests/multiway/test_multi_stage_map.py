@@ -87,6 +87,14 @@ def test_a_saved_map_keeps_what_a_person_decided(content, room, tmp_path):
     assert saved.relative_transforms.keys() == content.results.keys()
 
 
+def test_a_constraint_without_its_fragment_is_refused(content, room, tmp_path):
+    truth = room.ground_truth.edges[0]
+    content.add_constraint(truth.pair, truth.T_target_source)
+    save_map(tmp_path / "map", {}, content.results, solved(content))
+    with pytest.raises(FormatError, match="has a constraint on Bldg1_Stage1"):
+        load_map(tmp_path / "map")
+
+
 def test_a_saved_map_is_never_overwritten(content, tmp_path):
     graph = solved(content)
     for name in ("map", "map.ply"):
