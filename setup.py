@@ -29,18 +29,27 @@ setup(
     ],
     install_requires=[
         "setuptools",
+        "joblib",
+        "matplotlib",
         "mcap",
         "numpy",
+        "pillow",
         "pydantic>=2",
         "pyyaml",
         "rich",
         "rosbags",
         "scikit-learn",
         "scipy",
+        "shapely",
+        "trimesh",
         "typer>=0.12.4",
         "zstandard",
     ],
-    extras_require={"test": ["hypothesis", "pytest"]},  # makes colcon test run pytest
+    extras_require={
+        "ifc": ["ifcopenshell"],
+        "ray": ["ray"],
+        "test": ["hypothesis", "pytest"],  # makes colcon test run pytest
+    },
     zip_safe=False,
     entry_points={
         "console_scripts": [

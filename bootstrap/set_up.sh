@@ -7,7 +7,7 @@ venv=$root/.venv
 state=$root/.nss
 system=$state/system # libraries and headers of the distribution that this machine lacks
 log=$state/setup.log
-disk_space_mb=2500 # .venv takes 1.3 GB, the downloads and the copy that pip keeps of them 0.8 GB
+disk_space_mb=3300 # .venv takes 1.8 GB, the downloads and the copy that pip keeps of them 1.1 GB
 
 say() { printf 'nss: [%3d s] %s\n' "$SECONDS" "$1" >&2; }
 
@@ -171,7 +171,7 @@ install_requirements() {
   local key
   key=$(sha256sum requirements/*.txt | sha256sum)
   if [[ "$(cat "$venv/nss.key" 2>/dev/null)" != "$key" ]]; then
-    say "installing the pinned packages (0.4 GB to download)"
+    say "installing the pinned packages (0.55 GB to download)"
     rm -f "$venv/nss.key" "$state/install/nss.key"
     PIP_USER=0 quietly "$venv/bin/python" -m pip install --disable-pip-version-check --no-input \
       --retries 3 --requirement requirements/requirements.txt \

@@ -15,10 +15,10 @@ from nss_ros.dataset.overlap import Cloud, all_overlaps
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
 from nss_ros.geometry import Transform, relative
 from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGraph
-from nss_ros.simulation.plan import Rectangle
+from nss_ros.simulation.procedural.floor import build_floor
 from nss_ros.simulation.rig import draw_pose, scan
 from nss_ros.simulation.scene import Scene
-from nss_ros.simulation.site import Site, build_site
+from nss_ros.simulation.site import Site
 from nss_ros.simulation.viewpoints import choose_viewpoints, occupancy_map
 
 _VIEWPOINT_STREAM, _SCAN_STREAM = 1, 2
@@ -46,7 +46,7 @@ def simulate_scans(
     Raises:
         InputError: a stage has no free floor to stand on.
     """
-    site = build_site(config.site, config.seed)
+    site = build_floor(config.area, config.site, config.seed)
     return [
         taken
         for stage in range(1, site.stages + 1)
@@ -102,9 +102,8 @@ def _scan_stage(
     report: Callable[[FragmentId], None] | None,
 ) -> list[Scan]:
     scene = Scene(site.stage_mesh(stage).mesh)
-    area = Rectangle(0.0, 0.0, site.plan.width, site.plan.depth)
     spots = choose_viewpoints(
-        occupancy_map(scene, area, config.viewpoints),
+        occupancy_map(scene, site.extent, config.viewpoints),
         config.viewpoints,
         config.rig.max_range,
         np.random.default_rng((config.seed, stage, _VIEWPOINT_STREAM)),

@@ -11,8 +11,8 @@ from scipy import ndimage
 
 from nss_ros.config import ViewpointConfig
 from nss_ros.errors import InputError
-from nss_ros.simulation.plan import Rectangle
 from nss_ros.simulation.scene import Scene
+from nss_ros.simulation.site import Rectangle
 
 _FLOOR_TOLERANCE = 0.05
 _CANDIDATES = 80

@@ -4,9 +4,9 @@ import pytest
 from nss_ros.config import RigConfig, SimulationConfig, SiteConfig, ViewpointConfig
 from nss_ros.geometry import inverse, transform_points
 from nss_ros.multiway.pose_graph import EdgeKind, NodeStatus
+from nss_ros.simulation.procedural.floor import build_floor
 from nss_ros.simulation.scene import Scene
 from nss_ros.simulation.simulator import bag_metadata, ground_truth_graph, simulate_scans
-from nss_ros.simulation.site import build_site
 
 CONFIG = SimulationConfig(
     seed=7,
@@ -38,7 +38,7 @@ def test_fragments_are_of_both_stages_in_canonical_order(scans):
 
 
 def test_points_lie_on_the_site_at_their_pose(scans):
-    site = build_site(CONFIG.site, CONFIG.seed)
+    site = build_floor("1", CONFIG.site, CONFIG.seed)
     for scan in scans:
         scene = Scene(site.stage_mesh(scan.fragment.id.stage).mesh)
         points = transform_points(scan.T_map_fragment, scan.fragment.points)

@@ -4,8 +4,8 @@ import pytest
 from nss_ros.config import ViewpointConfig
 from nss_ros.errors import InputError
 from nss_ros.simulation.mesh import box, merge
-from nss_ros.simulation.plan import Rectangle
 from nss_ros.simulation.scene import Scene
+from nss_ros.simulation.site import Rectangle
 from nss_ros.simulation.viewpoints import choose_viewpoints, in_sight, occupancy_map
 
 AREA = Rectangle(0.0, 0.0, 8.0, 6.0)

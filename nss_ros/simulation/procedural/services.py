@@ -6,7 +6,8 @@ import numpy as np
 
 from nss_ros.simulation.element import Element, stages_from
 from nss_ros.simulation.mesh import Mesh, box, cylinder, merge
-from nss_ros.simulation.plan import BEAM_DEPTH, Plan, Rectangle
+from nss_ros.simulation.procedural.plan import BEAM_DEPTH, Plan
+from nss_ros.simulation.site import Rectangle
 
 _CEILING_HEIGHT = 2.55
 _TILE = 0.6

@@ -7,7 +7,7 @@ import numpy as np
 from nss_ros.geometry import from_yaw
 from nss_ros.simulation.element import Element
 from nss_ros.simulation.mesh import Mesh, Opening, box, merge, moved, wall
-from nss_ros.simulation.plan import DOOR_HEIGHT, Partition, Plan
+from nss_ros.simulation.procedural.plan import DOOR_HEIGHT, Partition, Plan
 
 _STUD_DEPTH = 0.075
 _STUD_WIDTH = 0.05

@@ -14,7 +14,8 @@ import numpy as np
 from nss_ros.geometry import from_yaw
 from nss_ros.simulation.element import Element, stages_from
 from nss_ros.simulation.mesh import Mesh, box, cylinder, merge, mound, moved, standing_box
-from nss_ros.simulation.plan import Plan, Rectangle
+from nss_ros.simulation.procedural.plan import Plan
+from nss_ros.simulation.site import Rectangle
 
 _AREA_PER_THING = 3.2
 _DOOR_CLEARANCE = 0.95

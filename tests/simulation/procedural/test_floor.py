@@ -3,14 +3,14 @@ import pytest
 
 from nss_ros.config import SiteConfig
 from nss_ros.errors import InputError
-from nss_ros.simulation.site import build_site
+from nss_ros.simulation.procedural.floor import build_floor
 
 SEEDS = range(4)
 
 
 @pytest.fixture(scope="module", params=SEEDS)
 def site(request):
-    return build_site(SiteConfig(), request.param)
+    return build_floor("1", SiteConfig(), request.param)
 
 
 def test_every_triangle_belongs_to_an_element_of_its_stage(site):
@@ -70,7 +70,7 @@ def test_clutter_stays_clear_of_doors(site):
 
 
 def test_same_seed_same_site_and_other_seed_other_site():
-    one, same, other = (build_site(SiteConfig(), seed).stage_mesh(2) for seed in (4, 4, 5))
+    one, same, other = (build_floor("1", SiteConfig(), seed).stage_mesh(2) for seed in (4, 4, 5))
     assert np.array_equal(one.mesh.vertices, same.mesh.vertices)
     assert np.array_equal(one.elements, same.elements)
     assert one.mesh.vertices.shape != other.mesh.vertices.shape
@@ -78,7 +78,7 @@ def test_same_seed_same_site_and_other_seed_other_site():
 
 @pytest.mark.parametrize("stages", [1, 2])
 def test_fewer_stages_have_only_their_elements(stages):
-    site = build_site(SiteConfig(stages=stages), 0)
+    site = build_floor("1", SiteConfig(stages=stages), 0)
     assert {stage for e in site.elements for stage in e.stages} == set(range(1, stages + 1))
     with pytest.raises(InputError, match=f"1 to {stages}"):
         site.stage_mesh(stages + 1)
@@ -86,5 +86,5 @@ def test_fewer_stages_have_only_their_elements(stages):
 
 @pytest.mark.parametrize(("width", "depth"), [(14, 11), (26, 20)])
 def test_small_and_large_floors_can_be_built(width, depth):
-    site = build_site(SiteConfig(width=width, depth=depth), 1)
+    site = build_floor("1", SiteConfig(width=width, depth=depth), 1)
     assert len(site.stage_mesh(3).mesh.triangles) > 1000

@@ -7,14 +7,14 @@ import numpy as np
 from nss_ros.geometry import from_yaw
 from nss_ros.simulation.element import Element, stages_from
 from nss_ros.simulation.mesh import Mesh, Opening, box, merge, moved, wall
-from nss_ros.simulation.plan import (
+from nss_ros.simulation.procedural.plan import (
     BEAM_DEPTH,
     COLUMN_WIDTH,
     DOOR_HEIGHT,
     FACADE_THICKNESS,
     Plan,
-    Rectangle,
 )
+from nss_ros.simulation.site import Rectangle
 
 _SLAB_THICKNESS = 0.25
 _SLAB_OVERHANG = FACADE_THICKNESS + 0.1

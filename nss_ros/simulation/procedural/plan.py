@@ -10,26 +10,12 @@ import numpy as np
 from nss_ros.config import SiteConfig
 from nss_ros.geometry import Transform, from_yaw
 from nss_ros.simulation.mesh import Opening
+from nss_ros.simulation.site import Rectangle
 
 FACADE_THICKNESS = 0.3
 COLUMN_WIDTH = 0.35
 BEAM_DEPTH = 0.45
 DOOR_HEIGHT = 2.1
-
-
-@dataclass(frozen=True, slots=True)
-class Rectangle:
-    """An axis-aligned area of the floor, metres."""
-
-    x0: float
-    y0: float
-    x1: float
-    y1: float
-
-    @property
-    def area(self) -> float:
-        """Square metres."""
-        return (self.x1 - self.x0) * (self.y1 - self.y0)
 
 
 @dataclass(frozen=True, slots=True)

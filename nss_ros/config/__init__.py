@@ -1,0 +1,44 @@
+"""All settings, typed, with their defaults, limits and meaning.
+
+This is the single definition: configuration files, `--set` options and ROS parameters are all
+read into these models, so a name, a unit and a limit stand in one place. A ROS parameter has
+the dotted name of the field inside its node's section, for example `icp.max_distance` on the
+registration node is `registration.icp.max_distance` in a file.
+"""
+
+from nss_ros.config.dataset import DatasetConfig, PairConfig
+from nss_ros.config.loading import NssConfig, load_config, validated, write_config
+from nss_ros.config.run import (
+    FpfhConfig,
+    IcpConfig,
+    MultiwayConfig,
+    PlayerConfig,
+    PoseGraphConfig,
+    RecorderConfig,
+    RegistrationConfig,
+    RegistrationNodeConfig,
+)
+from nss_ros.config.section import Section
+from nss_ros.config.simulation import RigConfig, SimulationConfig, SiteConfig, ViewpointConfig
+
+__all__ = [
+    "DatasetConfig",
+    "FpfhConfig",
+    "IcpConfig",
+    "MultiwayConfig",
+    "NssConfig",
+    "PairConfig",
+    "PlayerConfig",
+    "PoseGraphConfig",
+    "RecorderConfig",
+    "RegistrationConfig",
+    "RegistrationNodeConfig",
+    "RigConfig",
+    "Section",
+    "SimulationConfig",
+    "SiteConfig",
+    "ViewpointConfig",
+    "load_config",
+    "validated",
+    "write_config",
+]

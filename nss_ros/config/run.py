@@ -1,0 +1,178 @@
+"""Settings of the nodes, and of the registration and multi-way methods that they run."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from nss_ros.config.section import Fraction, Positive, Section
+
+
+class PlayerConfig(Section):
+    """How bags are replayed."""
+
+    bags: list[str] = Field([], description="Bag directories, played one after the other")
+    rate: float = Field(
+        1.0, ge=0, description="Speed against recorded time; 0: as fast as possible"
+    )
+    start_offset: float = Field(
+        0.0, ge=0, description="Seconds of bag time to skip (latched data is still published)"
+    )
+    loop: bool = Field(False, description="Start again at the end")
+    start_paused: bool = Field(False, description="Wait for the resume service before playing")
+    publish_clock: bool = Field(True, description="Publish bag time on /clock")
+    pair_across_bags: bool = Field(
+        True,
+        description="With several bags: also ask for every pair of one area between different bags",
+    )
+    max_pending_pairs: int = Field(
+        64, ge=0, description="Hold back when this many pairs await an answer; 0: never"
+    )
+    wait_for_subscribers: float = Field(
+        10.0, ge=0, description="Longest wait for a first subscriber of fragments, seconds"
+    )
+
+
+class FpfhConfig(Section):
+    """FPFH features (Rusu et al. 2009) and feature matching."""
+
+    voxel_size: Positive = Field(
+        0.1, description="Voxel size of the points that are described, metres"
+    )
+    normal_radius: Positive = Field(0.25, description="Neighbourhood of normals, metres")
+    feature_radius: Positive = Field(0.6, description="Neighbourhood of the descriptor, metres")
+    max_keypoints: int = Field(
+        5000, gt=0, description="Described points kept for matching, those of the least flat places"
+    )
+    inlier_distance: Positive = Field(
+        0.15, description="Correspondences closer than this agree, metres"
+    )
+    use_gravity: bool = Field(
+        True,
+        description="RANSAC of two levelled fragments looks for yaw and translation only",
+    )
+    hypotheses: int = Field(
+        200, gt=0, description="RANSAC hypotheses that are compared before the best are refined"
+    )
+    ransac_iterations: int = Field(500_000, gt=0, description="Most RANSAC samples per pair")
+    ransac_confidence: Fraction = Field(
+        0.999, description="RANSAC stops at this probability of success"
+    )
+    fgr_iterations: int = Field(64, gt=0, description="Iterations of fast global registration")
+
+
+class IcpConfig(Section):
+    """Point-to-plane refinement."""
+
+    max_distance: Positive = Field(
+        0.1, description="Longest correspondence of the last level, metres; twice that at first"
+    )
+    iterations: int = Field(40, gt=0, description="Most iterations per level")
+    max_points: int = Field(4000, gt=0, description="Source points used, evenly taken")
+
+
+class RegistrationConfig(Section):
+    """How pairs are registered."""
+
+    method: str = Field(
+        "fpfh_ransac", description="Registered name of the method; see 'nss methods'"
+    )
+    seed: int = Field(0, ge=0, description="Mixed with the hash of the pair into each pair's seed")
+    voxel_size: Positive = Field(
+        0.05, description="Fragments are voxelised to this size on arrival, metres"
+    )
+    min_points: int = Field(100, ge=3, description="Fewest voxelised points that a fragment needs")
+    min_inlier_ratio: Fraction = Field(0.05, description="Least inlier ratio of an estimate")
+    max_tilt: Positive = Field(3.0, description="Most tilt between two levelled fragments, degrees")
+    overlap_distance: Positive = Field(
+        0.2, description="Distance at which points count as overlapping (tau), metres"
+    )
+    fpfh: FpfhConfig = FpfhConfig()
+    icp: IcpConfig = IcpConfig()
+
+
+class RegistrationNodeConfig(RegistrationConfig):
+    """Registration as a node: what is registered, by how many."""
+
+    workers: int = Field(0, ge=0, le=256, description="Worker processes; 0: one per processor core")
+    fragment_timeout: Positive = Field(
+        15.0,
+        description="A pair is answered 'unknown fragment' when no fragment has come for this long, seconds",
+    )
+    shard_index: int = Field(
+        0, ge=0, description="This node's place among the nodes that share the pairs"
+    )
+    shard_count: int = Field(
+        1, ge=1, description="Number of registration nodes that share the pairs"
+    )
+    memory_limit: int = Field(
+        1024,
+        gt=0,
+        description="MiB of fragments and features kept in memory by each process; the rest waits on disk",
+    )
+
+
+class MultiwayConfig(Section):
+    """How relative transforms become poses (Choi et al. 2015)."""
+
+    synchronizer: str = Field(
+        "choi", description="Registered name of the multi-way method; see 'nss methods'"
+    )
+    start: Literal["triangles", "confidence"] = Field(
+        "triangles",
+        description="Spanning tree of the initial poses: by triangle support, or by confidence as in the paper's set-up",
+    )
+    max_distance: Positive = Field(
+        0.2, description="Correspondence distance that scales the line process, metres"
+    )
+    prune_threshold: Fraction = Field(
+        0.25, description="Edges whose line process falls below this are rejected"
+    )
+    preference: Positive = Field(1.0, description="Preference for keeping edges; larger keeps more")
+    min_confidence: Fraction = Field(
+        0.0, description="Relative transforms below this confidence are rejected at once"
+    )
+    max_tilt: Positive = Field(
+        3.0, description="Levelled edges tilted by more than this are rejected at once, degrees"
+    )
+    loop_translation: Positive = Field(
+        0.4, description="A loop of edges closes if it misses by no more than this, metres"
+    )
+    loop_rotation: Positive = Field(6.0, description="... and by no more than this, degrees")
+    bridge_confidence: Fraction = Field(
+        0.5,
+        description="An edge that no loop confirms needs this confidence to link two parts of the map",
+    )
+
+
+class PoseGraphConfig(MultiwayConfig):
+    """The pose-graph node: map, frames and rates."""
+
+    map_frame: str = Field(
+        "map",
+        min_length=1,
+        description="Name of the map frame; component n > 0 gets <map_frame>_<n>",
+    )
+    map_voxel_size: Positive = Field(0.1, description="Voxel size of the published maps, metres")
+    update_period: Positive = Field(2.0, description="Least time between optimisations, seconds")
+    settle_time: Positive = Field(
+        1.0, description="Quiet time after which the graph counts as settled, seconds"
+    )
+
+
+class RecorderConfig(Section):
+    """What is logged, and how."""
+
+    output: str = Field("", description="Directory of the log to write; must not exist")
+    metadata_file: str = Field(
+        "", description="JSON object of strings to store in the log as run metadata"
+    )
+    flush_period: Positive = Field(
+        0.5, description="Longest time that data waits before it is on disk, seconds"
+    )
+    record_fragments: bool = Field(
+        True,
+        description="Log point clouds too, so that the log alone can be scored with point metrics",
+    )
+    record_maps: bool = Field(True, description="Log the maps and markers too")

@@ -1,0 +1,96 @@
+"""Settings of simulated sites and of their scans."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from nss_ros.config.section import Fraction, Positive, Section, in_order
+
+
+class SiteConfig(Section):
+    """The procedural construction floor."""
+
+    stages: int = Field(3, ge=1, le=3, description="Number of stages: shell, rough-in, finishing")
+    width: float = Field(16.0, ge=14, le=40, description="Clear size along x, metres")
+    depth: float = Field(12.0, ge=11, le=30, description="Clear size along y, metres")
+    height: float = Field(3.2, ge=3.0, le=4.5, description="Floor slab to ceiling slab, metres")
+
+
+class ViewpointConfig(Section):
+    """Where the tripod is put."""
+
+    spots_per_stage: int = Field(8, ge=1, le=500, description="Most spots per stage")
+    cell_size: Positive = Field(0.1, description="Cells of the occupancy map, metres")
+    min_height: Positive = Field(0.5, description="Lowest obstacle in the occupancy map, metres")
+    max_height: Positive = Field(2.0, description="Highest obstacle in the occupancy map, metres")
+    min_clearance: Positive = Field(0.5, description="Least distance from obstacles, metres")
+    passage: Positive = Field(
+        0.25, description="Clearance that a person needs to get through, metres"
+    )
+    min_spacing: Positive = Field(1.5, description="Least distance between spots, metres")
+    usual_spacing: Positive = Field(
+        2.5, description="Usual longest distance to an earlier spot in sight, metres"
+    )
+    max_spacing: Positive = Field(
+        4.0, description="... and when there is no place left nearer than that, metres"
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        return in_order(self, ("min_height", "max_height"))
+
+
+class RigConfig(Section):
+    """Three depth sensors on a turning tripod head (Matterport with PrimeSense sensors)."""
+
+    horizontal_fov: float = Field(58.0, gt=0, lt=120, description="Field of view, degrees")
+    vertical_fov: float = Field(45.0, gt=0, lt=120, description="Field of view, degrees")
+    image_width: int = Field(160, ge=8, le=1280, description="Pixels of a depth image")
+    image_height: int = Field(120, ge=8, le=1024, description="Pixels of a depth image")
+    min_range: Positive = Field(0.4, description="Nearer surfaces give no return, metres")
+    max_range: Positive = Field(4.5, description="Farther surfaces give no return, metres")
+    axial_noise: float = Field(
+        0.0015, ge=0, description="Depth noise at 1 m, growing with its square, metres sigma"
+    )
+    disparity_step: float = Field(
+        1 / 350, ge=0, description="Depth quantisation at 1 m, growing with its square, metres"
+    )
+    lateral_noise: float = Field(0.05, ge=0, description="Jitter of the rays, degrees sigma")
+    grazing_start: float = Field(
+        70.0, ge=0, lt=90, description="Incidence from which returns get lost, degrees"
+    )
+    grazing_end: float = Field(
+        85.0, gt=0, le=90, description="Incidence from which there are none, degrees"
+    )
+    dropout: Fraction = Field(0.02, description="Share of returns lost anywhere")
+    min_tripod_height: Positive = Field(1.5, description="Sensor above the floor, metres")
+    max_tripod_height: Positive = Field(1.75, description="Sensor above the floor, metres")
+    tilt: float = Field(0.5, ge=0, description="Sigma of the tripod's tilt per axis, degrees")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        return in_order(
+            self,
+            ("min_range", "max_range"),
+            ("grazing_start", "grazing_end"),
+            ("min_tripod_height", "max_tripod_height"),
+        )
+
+
+class SimulationConfig(Section):
+    """A simulated site and its scans."""
+
+    seed: int = Field(0, ge=0, description="Same seed and settings, same points")
+    area: str = Field("1", pattern=r"^[A-Za-z0-9.-]+$", description="Area of the fragment ids")
+    voxel_size: Positive = Field(
+        0.075, description="Voxel size of the fragments, as in the NSS release, metres"
+    )
+    overlap_distance: Positive = Field(
+        0.2, description="Distance at which points count as overlapping (tau), metres"
+    )
+    min_overlap: Fraction = Field(0.1, description="Least overlap ratio of a pair")
+    site: SiteConfig = SiteConfig()
+    viewpoints: ViewpointConfig = ViewpointConfig()
+    rig: RigConfig = RigConfig()

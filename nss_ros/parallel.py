@@ -1,0 +1,87 @@
+"""Independent calls on all cores of one machine (joblib), or of a Ray cluster.
+
+Results come in the order of the items, so whatever runs where, the outcome is the same.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from typing import TypeVar
+
+from joblib import Parallel, delayed, parallel_config
+
+from nss_ros.errors import InputError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# With more threads than cores numpy is slower, and its sums depend on the machine.
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Engine(StrEnum):
+    """Where calls run."""
+
+    LOCAL = "local"
+    RAY = "ray"
+
+
+def run(
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int = 0,
+    engine: Engine = Engine.LOCAL,
+) -> Iterator[Result]:
+    """Results of a function for all items, in their order, as they come.
+
+    Args:
+        function: importable by name, with arguments and results that can be pickled.
+        items: one call each.
+        workers: processes; 0: one per core of the machine, or all that the Ray cluster has.
+            1 without Ray: this process.
+        engine: local processes, or the Ray cluster that RAY_ADDRESS names (one on this machine
+            is started if it names none).
+
+    Raises:
+        InputError: Ray was asked for and is not installed.
+    """
+    if engine is Engine.LOCAL and workers == 1:
+        yield from map(function, items)
+        return
+    with _backend(engine):
+        count = workers or (-1 if engine is Engine.RAY else os.cpu_count() or 1)
+        calls = Parallel(n_jobs=count, return_as="generator", pre_dispatch="4*n_jobs")
+        yield from calls(delayed(function)(item) for item in items)
+
+
+@contextmanager
+def _backend(engine: Engine) -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ |= dict.fromkeys(_ONE_THREAD, "1")  # read by the workers when they start
+    try:
+        if engine is Engine.LOCAL:
+            with parallel_config("loky"):
+                yield
+        else:
+            _register_ray()
+            with parallel_config("ray"):
+                yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _register_ray() -> None:
+    try:
+        from ray.util.joblib import register_ray
+    except ImportError as error:
+        raise InputError(
+            "The engine 'ray' needs the package ray: pip install 'ray', or use the engine 'local'."
+        ) from error
+    register_ray()

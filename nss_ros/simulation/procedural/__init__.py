@@ -1,0 +1,1 @@
+"""Construction floors drawn at random, stage by stage."""
