@@ -19,7 +19,8 @@ from nss_ros.config.run import (
     RegistrationNodeConfig,
 )
 from nss_ros.config.section import Section
-from nss_ros.config.simulation import RigConfig, SimulationConfig, SiteConfig, ViewpointConfig
+from nss_ros.config.simulation import RigConfig, SimulationConfig, ViewpointConfig
+from nss_ros.config.site import SiteConfig, WingConfig
 
 __all__ = [
     "DatasetConfig",
@@ -38,6 +39,7 @@ __all__ = [
     "SimulationConfig",
     "SiteConfig",
     "ViewpointConfig",
+    "WingConfig",
     "load_config",
     "validated",
     "write_config",

@@ -7,15 +7,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from nss_ros.config.section import Fraction, Positive, Section, in_order
-
-
-class SiteConfig(Section):
-    """The procedural construction floor."""
-
-    stages: int = Field(3, ge=1, le=3, description="Number of stages: shell, rough-in, finishing")
-    width: float = Field(16.0, ge=14, le=40, description="Clear size along x, metres")
-    depth: float = Field(12.0, ge=11, le=30, description="Clear size along y, metres")
-    height: float = Field(3.2, ge=3.0, le=4.5, description="Floor slab to ceiling slab, metres")
+from nss_ros.config.site import SiteConfig
 
 
 class ViewpointConfig(Section):
