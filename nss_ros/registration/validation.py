@@ -8,7 +8,7 @@ import numpy as np
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.geometry import Transform, tilt_angle
-from nss_ros.registration.icp import Surface, moved_by
+from nss_ros.icp import Surface, moved_by
 from nss_ros.registration.relative_transform import Reason
 
 _NORMAL_COSINE = 0.5

@@ -1,7 +1,8 @@
 """Point-to-plane ICP from coarse to fine (Chen and Medioni 1992), reproducible to the bit.
 
 Open3D's ICP sums in parallel, in an order that differs from run to run; this one does not, and on
-fragments of this size it is as fast.
+fragments of this size it is as fast. Both the registration of pairs and the refinement of ground
+truth use it.
 """
 
 from __future__ import annotations
@@ -37,17 +38,22 @@ class Surface:
         points: (n, 3) float64, metres.
         normals: (n, 3) float64, unit.
         tree: of `points`.
+        oriented: normals point to the side from which the surface was seen; otherwise their
+            sign means nothing.
     """
 
     points: Array
     normals: Array
     tree: Any
+    oriented: bool = True
 
     @classmethod
-    def of(cls, points: NDArray[np.floating], normals: NDArray[np.floating]) -> Surface:
+    def of(
+        cls, points: NDArray[np.floating], normals: NDArray[np.floating], oriented: bool = True
+    ) -> Surface:
         """A surface of points (n, 3) and unit normals (n, 3)."""
         array = np.asarray(points, dtype=np.float64)
-        return cls(array, np.asarray(normals, dtype=np.float64), cKDTree(array))
+        return cls(array, np.asarray(normals, dtype=np.float64), cKDTree(array), oriented)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +64,7 @@ class Refined:
         T_target_source: (4, 4).
         information: (6, 6) inverse covariance, order x y z rx ry rz, target frame; see `refine`.
         correspondences: of the last iteration.
-        rmse: root mean square point-to-plane distance of them, metres.
+        rmse: root mean square point-to-plane distance of them, by their weights, metres.
         converged: the last update was negligible.
     """
 
@@ -81,6 +87,7 @@ def refine(
     max_distance: float,
     iterations: int,
     levels: tuple[float, ...] = _LEVELS,
+    kernel: float | None = None,
 ) -> Refined:
     """Refine a transform by point-to-plane ICP.
 
@@ -95,12 +102,16 @@ def refine(
         max_distance: longest correspondence of the last level, metres.
         iterations: most iterations per level.
         levels: correspondence distance of each level, as multiples of `max_distance`.
+        kernel: distance from the plane at which a correspondence counts a quarter (Geman and
+            McClure 1987), metres, times the level; None: all count alike. With it, what changed
+            between two stages does not pull.
     """
     transform = T_target_source
     converged = False
     for level in levels:
         for _ in range(iterations):
-            system, _ = _linearize(source, target, transform, level * max_distance)
+            scale = None if kernel is None else level * kernel
+            system, _ = _linearize(source, target, transform, level * max_distance, scale)
             update = np.linalg.lstsq(system.hessian, -system.gradient, rcond=1e-9)[0]
             transform = as_transform(exponential(update) @ transform)
             converged = bool(
@@ -109,7 +120,8 @@ def refine(
             )
             if converged or system.count < 6:
                 break
-    system, moved = _linearize(source, target, transform, levels[-1] * max_distance)
+    scale = None if kernel is None else levels[-1] * kernel
+    system, moved = _linearize(source, target, transform, levels[-1] * max_distance, scale)
     information = system.information(_patches(moved))
     return Refined(transform, information, system.count, system.rmse, converged)
 
@@ -131,7 +143,11 @@ class _System:
 
 
 def _linearize(
-    source: Surface, target: Surface, transform: Transform, distance: float
+    source: Surface,
+    target: Surface,
+    transform: Transform,
+    distance: float,
+    kernel: float | None,
 ) -> tuple[_System, Array]:
     moved = moved_by(transform, source.points)
     _, nearest = target.tree.query(moved, distance_upper_bound=distance)
@@ -139,17 +155,25 @@ def _linearize(
     moved, matched = moved[found], nearest[found]
     normals = target.normals[matched]
     turned = np.einsum("nj,ij->ni", source.normals[found], transform[:3, :3])
-    facing = np.einsum("ij,ij->i", turned, normals) > _NORMAL_COSINE
+    cosines = np.einsum("ij,ij->i", turned, normals)
+    if not (source.oriented and target.oriented):
+        cosines = np.abs(cosines)
+    facing = cosines > _NORMAL_COSINE
     moved, matched, normals = moved[facing], matched[facing], normals[facing]
     residuals = np.einsum("ij,ij->i", moved - target.points[matched], normals)
     jacobian = np.hstack((normals, np.cross(moved, normals)))
+    if kernel is None:
+        weighted, mean_square = jacobian, residuals**2
+    else:
+        weights = (kernel**2 / (kernel**2 + residuals**2)) ** 2
+        weighted = jacobian * weights[:, None]
+        mean_square = weights * residuals**2 / max(float(np.mean(weights)), 1e-12)
     system = _System(
-        hessian=np.einsum("ni,nj->ij", jacobian, jacobian),
-        gradient=np.einsum("ni,n->i", jacobian, residuals),
+        hessian=np.einsum("ni,nj->ij", weighted, jacobian),
+        gradient=np.einsum("ni,n->i", weighted, residuals),
         count=len(residuals),
-        rmse=float(np.sqrt(np.mean(residuals**2))) if len(residuals) else 0.0,
+        rmse=float(np.sqrt(np.mean(mean_square))) if len(residuals) else 0.0,
     )
-    return system, moved
     return system, moved
 
 
