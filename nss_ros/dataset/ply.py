@@ -24,7 +24,10 @@ _TYPES = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_NAMES = {"f4": "float", "f8": "double", "i4": "int", "u4": "uint", "i2": "short", "u2": "ushort"}
+_NAMES = {
+    "f4": "float", "f8": "double", "i4": "int", "u4": "uint", "i2": "short", "u2": "ushort",
+    "i1": "char", "u1": "uchar",
+}  # fmt: skip
 _HEADER_LINES = 10_000
 
 
@@ -44,6 +47,16 @@ def read_ply(path: Path) -> NDArray[np.float64]:
 
     Raises:
         FormatError: the file cannot be read, is not PLY, has no x, y, z, or is truncated.
+    """
+    columns = read_columns(path)
+    return np.column_stack([columns[axis].astype(np.float64) for axis in "xyz"])
+
+
+def read_columns(path: Path) -> dict[str, NDArray[Any]]:
+    """All properties of a PLY file's vertices, (n,) each; of an ASCII file all as float64.
+
+    Raises:
+        FormatError: as `read_ply`.
     """
     try:
         with path.open("rb") as stream:
@@ -124,7 +137,7 @@ def _vertex_element(elements: list[_Element], path: Path) -> tuple[list[_Element
 
 def _binary_vertices(
     body: bytes, byte_order: str, skipped: list[_Element], vertex: _Element, path: Path
-) -> NDArray[np.float64]:
+) -> dict[str, NDArray[Any]]:
     if any(element.has_list for element in skipped):
         raise FormatError(f"{path} has a list before its vertices: write the vertices first.")
     start = sum(
@@ -134,12 +147,13 @@ def _binary_vertices(
     available = max(len(body) - start, 0) // dtype.itemsize
     _check_count(vertex, available, path)
     table = np.frombuffer(body, dtype, count=vertex.count, offset=start if vertex.count else 0)
-    return np.column_stack([table[axis].astype(np.float64) for axis in "xyz"])
+    # Copies in the machine's byte order.
+    return {name: table[name].astype(kind) for name, kind in vertex.fields}
 
 
 def _ascii_vertices(
     body: bytes, skipped: list[_Element], vertex: _Element, path: Path
-) -> NDArray[np.float64]:
+) -> dict[str, NDArray[Any]]:
     rows = [line for line in body.splitlines() if line.strip()]
     start = sum(element.count for element in skipped)
     rows = rows[start : start + vertex.count]
@@ -156,8 +170,7 @@ def _ascii_vertices(
     except ValueError as error:
         raise FormatError(f"{path} holds a coordinate that is not a number: {error}.") from error
     table = numbers.reshape(vertex.count, width)
-    names = [name for name, _ in vertex.fields]
-    return np.ascontiguousarray(table[:, [names.index(axis) for axis in "xyz"]])
+    return {name: table[:, i].copy() for i, (name, _) in enumerate(vertex.fields)}
 
 
 def _check_count(vertex: _Element, available: int, path: Path) -> None:

@@ -15,10 +15,10 @@ from scipy.special import expit
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentPair
 from nss_ros.geometry import Matrix, Transform
+from nss_ros.icp import Refined, Surface, refine
 from nss_ros.registration.features import FpfhFeatures, describe
 from nss_ros.registration.fgr import fast_global_registration
 from nss_ros.registration.free_space import RangeImage, View, conflicts
-from nss_ros.icp import Refined, Surface, refine
 from nss_ros.registration.matching import mutual_matches
 from nss_ros.registration.ransac import Matches, inlier_mask, ransac
 from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from nss_ros.dataset.ply import read_ply, write_ply
+from nss_ros.dataset.ply import read_columns, read_ply, write_ply
 from nss_ros.errors import FormatError
 
 CUBE = np.array([[0.0, 0.5, 1.0], [1.25, -2.0, 3.0], [4.0, 5.0, -6.5]])
@@ -143,3 +143,18 @@ def test_missing_file_and_folder(tmp_path):
         read_ply(tmp_path / "none.ply")
     with pytest.raises(FormatError, match="Cannot read point cloud"):
         read_ply(tmp_path)
+
+
+def test_all_columns_come_back_in_their_types(tmp_path):
+    columns = {axis: CUBE[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
+    columns |= {
+        "element": np.array([3, -1, 7], np.int32),
+        "change": np.array([0, 255, 2], np.uint8),
+    }
+    path = tmp_path / "a.ply"
+    write_ply(path, columns)
+    read = read_columns(path)
+    assert list(read) == list(columns)
+    for name, column in columns.items():
+        assert read[name].dtype == column.dtype
+        np.testing.assert_array_equal(read[name], column)
