@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import json
 import platform
-import subprocess
 import sys
 import time
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -31,6 +29,7 @@ from nss_ros.nodes.parameters import declare_parameters
 from nss_ros.nodes.qos import subscription_qos
 from nss_ros.nodes.spin import Background, run_node
 from nss_ros.topics import Topic
+from nss_ros.versions import git_revision, package_versions
 
 _ALWAYS = (
     topics.GROUND_TRUTH,
@@ -181,25 +180,13 @@ def _read_metadata(name: str) -> dict[str, str]:
 def _versions() -> dict[str, str]:
     values = {
         "nss_ros": __version__,
-        "git_revision": _git_revision(),
+        "git_revision": git_revision(),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "start_time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
-    for package in _PACKAGES:
-        try:
-            values[f"version_{package}"] = version(package)
-        except PackageNotFoundError:
-            continue
-    return values
-
-
-def _git_revision() -> str:
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
+    installed = package_versions(_PACKAGES)
+    return values | {f"version_{package}": number for package, number in installed.items()}
 
 
 def main(args: list[str] | None = None) -> None:
