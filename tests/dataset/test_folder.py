@@ -220,7 +220,7 @@ def test_lost_poses_are_noticed(tmp_path, whole):
     shutil.copytree(whole, path)
     poses = path / "poses.jsonl"
     poses.write_bytes(poses.read_bytes()[:-1])
-    with pytest.raises(FormatError, match=r"poses\.jsonl holds 11 poses .* says 12"):
+    with pytest.raises(FormatError, match=r"poses\.jsonl holds 11 poses, but the manifest says 12"):
         DatasetFolder(path).poses()
     assert make(path) == 1
     assert content(path) == content(whole)
