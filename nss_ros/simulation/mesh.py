@@ -17,6 +17,8 @@ _BOX_TRIANGLES = np.array(
     ],
     dtype=np.int32,
 )
+# Per corner of a box, whether it is the lower (0) or the upper end along x, y and z.
+_BOX_CORNERS = np.array([(x, y, z) for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))])
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,22 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Mesh:
     return Mesh(np.array(corners), _BOX_TRIANGLES)
 
 
+def boxes(lower: ArrayLike, upper: ArrayLike) -> Mesh:
+    """Many axis-aligned boxes as one mesh; those without a volume are left out.
+
+    Args:
+        lower: (n, 3) or what broadcasts to it, metres.
+        upper: the opposite corners, likewise.
+    """
+    low, high = np.broadcast_arrays(np.asarray(lower, float), np.asarray(upper, float))
+    low, high = low.reshape(-1, 3), high.reshape(-1, 3)
+    solid = (low < high).all(axis=1)
+    ends = np.stack((low[solid], high[solid]), axis=1)
+    vertices = np.stack([ends[:, _BOX_CORNERS[:, k], k] for k in range(3)], axis=-1)
+    offsets = np.arange(len(ends), dtype=np.int32) * 8
+    return Mesh(vertices.reshape(-1, 3), _repeated(_BOX_TRIANGLES, offsets))
+
+
 def standing_box(length: float, width: float, bottom: float, top: float) -> Mesh:
     """A box centred on the z axis between two heights."""
     return box((-length / 2, -width / 2, bottom), (length / 2, width / 2, top))
@@ -57,15 +75,34 @@ def standing_box(length: float, width: float, bottom: float, top: float) -> Mesh
 
 def cylinder(start: ArrayLike, end: ArrayLike, radius: float, sides: int = 10) -> Mesh:
     """A closed cylinder between the centres of its two ends."""
-    start, end = np.asarray(start, float), np.asarray(end, float)
-    axis = (end - start) / np.linalg.norm(end - start)
-    helper = np.eye(3)[np.argmin(np.abs(axis))]
-    first = np.cross(axis, helper)
-    first /= np.linalg.norm(first)
-    second = np.cross(axis, first)
-    angles = np.arange(sides) * (2 * np.pi / sides)
-    rim = radius * (np.outer(np.cos(angles), first) + np.outer(np.sin(angles), second))
-    vertices = np.concatenate((start + rim, end + rim, [start], [end]))
+    return cylinders(start, end, radius, sides)
+
+
+def cylinders(start: ArrayLike, end: ArrayLike, radius: ArrayLike, sides: int = 10) -> Mesh:
+    """Many closed cylinders as one mesh.
+
+    Args:
+        start: (n, 3) centres of one end, or what broadcasts to it, metres.
+        end: centres of the other, likewise.
+        radius: one for all or one each, metres.
+        sides: of the polygon that stands for the circle.
+    """
+    starts, ends = np.broadcast_arrays(np.asarray(start, float), np.asarray(end, float))
+    starts, ends = starts.reshape(-1, 3), ends.reshape(-1, 3)
+    axes = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)
+    first = np.cross(axes, np.eye(3)[np.argmin(np.abs(axes), axis=1)])
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(axes, first)
+    angles = (np.arange(sides) * (2 * np.pi / sides))[:, None]
+    rim = np.cos(angles) * first[:, None] + np.sin(angles) * second[:, None]
+    rim *= np.broadcast_to(np.asarray(radius, float), len(starts))[:, None, None]
+    rings = (starts[:, None] + rim, ends[:, None] + rim, starts[:, None], ends[:, None])
+    vertices = np.concatenate(rings, axis=1).reshape(-1, 3)
+    offsets = np.arange(len(starts), dtype=np.int32) * (2 * sides + 2)
+    return Mesh(vertices, _repeated(_cylinder_triangles(sides), offsets))
+
+
+def _cylinder_triangles(sides: int) -> NDArray[np.int32]:
     near = np.arange(sides)
     following = (near + 1) % sides
     far, far_following = near + sides, following + sides
@@ -77,7 +114,12 @@ def cylinder(start: ArrayLike, end: ArrayLike, radius: float, sides: int = 10) -
             np.stack((far, far_following, np.full(sides, 2 * sides + 1)), axis=1),
         ]
     )
-    return Mesh(vertices, triangles.astype(np.int32))
+    return triangles.astype(np.int32)
+
+
+def _repeated(triangles: NDArray[np.int32], offsets: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The triangles of one solid once per copy, whose vertices begin at the offsets."""
+    return np.asarray((offsets[:, None, None] + triangles).reshape(-1, 3), dtype=np.int32)
 
 
 def mound(radius: float, height: float, rng: np.random.Generator, sides: int = 14) -> Mesh:
@@ -122,11 +164,37 @@ def wall(
     start = 0.0
     for opening in sorted(openings, key=lambda o: o.start):
         pieces.append(((start, y0, bottom), (opening.start, y1, top)))
-        pieces.append(((opening.start, y0, bottom), (opening.end, y1, opening.bottom)))
-        pieces.append(((opening.start, y0, opening.top), (opening.end, y1, top)))
+        pieces.append(((opening.start, y0, bottom), (opening.end, y1, min(opening.bottom, top))))
+        pieces.append(((opening.start, y0, max(opening.top, bottom)), (opening.end, y1, top)))
         start = opening.end
     pieces.append(((start, y0, bottom), (length, y1, top)))
-    return merge([box(a, b) for a, b in pieces if all(p < q for p, q in zip(a, b, strict=True))])
+    corners = np.array(pieces)
+    return boxes(corners[:, 0], corners[:, 1])
+
+
+def slab(
+    lower: tuple[float, float, float],
+    upper: tuple[float, float, float],
+    holes: Sequence[tuple[float, float, float, float]] = (),
+) -> Mesh:
+    """A level slab pierced by rectangular holes.
+
+    Args:
+        lower: its lower corner.
+        upper: its upper corner.
+        holes: (x0, y0, x1, y1) of each; they may reach beyond the slab.
+    """
+    (x0, y0, bottom), (x1, y1, top) = lower, upper
+    xs = np.unique(np.clip([x0, x1, *(x for h in holes for x in (h[0], h[2]))], x0, x1))
+    ys = np.unique(np.clip([y0, y1, *(y for h in holes for y in (h[1], h[3]))], y0, y1))
+    low = np.stack(np.meshgrid(xs[:-1], ys[:-1], [bottom], indexing="ij"), -1).reshape(-1, 3)
+    high = np.stack(np.meshgrid(xs[1:], ys[1:], [top], indexing="ij"), -1).reshape(-1, 3)
+    middle = (low + high) / 2
+    solid = np.ones(len(low), dtype=bool)
+    for hx0, hy0, hx1, hy1 in holes:
+        inside_x = (middle[:, 0] > hx0) & (middle[:, 0] < hx1)
+        solid &= ~(inside_x & (middle[:, 1] > hy0) & (middle[:, 1] < hy1))
+    return boxes(low[solid], high[solid])
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:

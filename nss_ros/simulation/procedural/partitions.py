@@ -1,110 +1,216 @@
-"""Dry-lined walls from bottom track to closed, with their door frames and doors."""
+"""Partitions from chalk line to closed: tracks, studs, boards, blockwork, glass, doors."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from nss_ros.geometry import from_yaw
-from nss_ros.simulation.element import Element
-from nss_ros.simulation.mesh import Mesh, Opening, box, merge, moved, wall
-from nss_ros.simulation.procedural.plan import DOOR_HEIGHT, Partition, Plan
+from nss_ros.geometry import Transform, from_rotation
+from nss_ros.simulation.element import Element, Material
+from nss_ros.simulation.mesh import Mesh, Opening, boxes, merge, moved, wall
+from nss_ros.simulation.procedural.layout import Construction, Wall
+from nss_ros.simulation.procedural.programme import (
+    CLOSED,
+    DOOR_FRAMES,
+    DOORS,
+    ONE_SIDE,
+    STUDS,
+    TRACKS,
+    Programme,
+)
 
-_STUD_DEPTH = 0.075
-_STUD_WIDTH = 0.05
-_BOARD_THICKNESS = 0.025
+_STUD_DEPTH, _STUD_WIDTH = 0.075, 0.05
+_BOARD = 0.025
 _BOARD_WIDTH = 1.2
-_TRACK, _STUDS, _ONE_SIDE, _CLOSED = 1, 2, 3, 4
+_BLOCK = 0.175
+_COURSE = 0.25
+_TRACK = 0.04
+_FOREVER = float("inf")
 
 
-def build_partitions(plan: Plan, rng: np.random.Generator) -> list[Element]:
-    """The parts of all partitions, each from the stage on at which it is built."""
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A part of a wall in the wall's frame, there from `start` to `end` in steps of work."""
+
+    kind: str
+    label: str
+    start: float
+    mesh: Mesh
+    material: Material = Material.MATT
+    end: float = _FOREVER
+
+
+def build_partitions(
+    walls: list[Wall],
+    height: float,
+    programme: Programme,
+    deviation: float,
+    rng: np.random.Generator,
+) -> list[Element]:
+    """All parts of all partitions, plan coordinates.
+
+    Args:
+        walls: of a layout.
+        height: of the ceiling slab, metres.
+        programme: of the works.
+        deviation: factor of the deviations from plan.
+        rng: of deviations and delays.
+    """
+    makers = {
+        Construction.STUD: _stud_wall,
+        Construction.BLOCK: _block_wall,
+        Construction.GLASS: _glass_wall,
+    }
     elements = []
-    for partition in plan.partitions:
-        for kind, state, mesh in _parts(partition, plan.height, rng):
-            stages = frozenset(
-                stage
-                for stage, progress in enumerate(partition.progress, start=1)
-                if progress >= state
-            )
+    for item in walls:
+        pose = item.pose @ _as_built(deviation, rng)
+        delay = float(rng.normal(0.0, 0.3))
+        parts = makers[item.construction](item, height, rng) + _doors(item, rng)
+        for part in parts:
+            stages = programme.during(item.zone, part.start + delay, part.end + delay)
             if stages:
-                elements.append(Element(kind, stages, moved(mesh, partition.pose)))
+                name = f"{item.name}, {part.label}"
+                mesh = moved(part.mesh, pose)
+                elements.append(Element(part.kind, stages, mesh, part.material, name))
     return elements
 
 
-def _parts(
-    partition: Partition, height: float, rng: np.random.Generator
-) -> list[tuple[str, int, Mesh]]:
-    """Kind, state from which it is there, and mesh in the wall frame."""
+def _as_built(deviation: float, rng: np.random.Generator) -> Transform:
+    """A little out of place, out of line and out of plumb."""
+    lean, turn = rng.normal(0.0, np.radians([0.12, 0.1]) * deviation)
+    shift = rng.normal(0.0, 0.008 * deviation)
+    return from_rotation(Rotation.from_euler("xz", [lean, turn]), (0.0, shift, 0.0))
+
+
+def _stud_wall(item: Wall, height: float, rng: np.random.Generator) -> list[_Part]:
     half = _STUD_DEPTH / 2
+    foot = [Opening(door.start, door.end, 0.0, _TRACK) for door in item.doors]
+    track = wall(item.length, (-half, 0.0), (half, _TRACK), foot)
+    head = boxes((0.0, -half, height - _TRACK), (item.length, half, height))
     parts = [
-        ("track", _TRACK, _track(partition, half)),
-        ("stud", _STUDS, _studs(partition, half, height, rng)),
+        _Part("track", "bottom track", TRACKS, track, Material.METAL),
+        _Part("stud", "studs", STUDS, merge([_studs(item, height, rng), head]), Material.METAL),
     ]
-    top = height if rng.random() < 0.6 else 2.75
-    for state, inner in ((_ONE_SIDE, half), (_CLOSED, -half - _BOARD_THICKNESS)):
-        for board in _boards(partition, inner, top):
-            late = state == _ONE_SIDE and rng.random() < 0.2
-            parts.append(("board", state + late, board))
-    for door in partition.doors:
-        parts.append(("door_frame", _ONE_SIDE, _door_frame(door)))
-        if door.end - door.start < 1.5:
-            parts.append(("door", _CLOSED, _door_leaf(door, rng)))
+    insulated = rng.random() < 0.5
+    if insulated:
+        wool = boxes((0.0, -half + 0.01, 0.05), (item.length, half - 0.01, height - 0.05))
+        pierced = _pierced(wool, item, -half + 0.01, half - 0.01, height - 0.05)
+        parts.append(_Part("insulation", "insulation", ONE_SIDE + 0.4, pierced, Material.MATT))
+    sides = [("first", half, ONE_SIDE), ("second", -half - _BOARD, CLOSED)]
+    for side, inner, start in sides:
+        for part, (low, high) in enumerate(_shares(item.length, rng)):
+            board = _board(item, inner, low, high, height)
+            late = start + (0.35 if part else 0.0)
+            parts.append(_Part("board", f"{side} side boards {part + 1}", late, board))
     return parts
 
 
-def _track(partition: Partition, half: float) -> Mesh:
-    floor_openings = [Opening(d.start, d.end, 0.0, 0.04) for d in partition.doors]
-    return wall(partition.length, (-half, 0.0), (half, 0.04), floor_openings)
+def _pierced(whole: Mesh, item: Wall, near: float, far: float, top: float) -> Mesh:
+    """The same layer with its doors left open."""
+    return wall(item.length, (near, 0.05), (far, top), item.doors) if item.doors else whole
 
 
-def _studs(partition: Partition, half: float, height: float, rng: np.random.Generator) -> Mesh:
+def _studs(item: Wall, height: float, rng: np.random.Generator) -> Mesh:
+    half = _STUD_DEPTH / 2
     spacing = float(rng.choice([0.4, 0.6, 0.6]))
-    positions = np.arange(0.0, partition.length - _STUD_WIDTH, spacing)
-    positions = positions + rng.normal(0.0, 0.01, len(positions))
-    jambs = [x for d in partition.doors for x in (d.start - _STUD_WIDTH, d.end)]
-    ends = [0.0, partition.length - _STUD_WIDTH]
-    pieces = []
-    for x in (*positions, *jambs, *ends):
-        bottom = 0.0
-        for door in partition.doors:
-            if door.start - 1e-9 <= x < door.end - 1e-9:
-                bottom = door.top
-        pieces.append(box((x, -half, bottom), (x + _STUD_WIDTH, half, height)))
-    pieces.append(box((0.0, -half, height - 0.04), (partition.length, half, height)))
-    pieces += [box((d.start, -half, d.top), (d.end, half, d.top + 0.05)) for d in partition.doors]
-    return merge(pieces)
+    regular = np.arange(0.0, item.length - _STUD_WIDTH, spacing)
+    regular = regular + rng.normal(0.0, 0.008, len(regular))
+    jambs = [x for door in item.doors for x in (door.start - _STUD_WIDTH, door.end)]
+    x = np.concatenate((regular, jambs, [0.0, item.length - _STUD_WIDTH]))
+    bottom = np.zeros(len(x))
+    for door in item.doors:
+        bottom[(x >= door.start - 1e-9) & (x < door.end - 1e-9)] = door.top
+    lower = np.column_stack((x, np.full(len(x), -half), bottom))
+    upper = np.column_stack((x + _STUD_WIDTH, np.full(len(x), half), np.full(len(x), height)))
+    lintels = [
+        boxes((door.start, -half, door.top), (door.end, half, door.top + 0.05))
+        for door in item.doors
+    ]
+    return merge([boxes(lower, upper), *lintels])
 
 
-def _boards(partition: Partition, inner: float, top: float) -> list[Mesh]:
-    boards = []
-    for start in np.arange(0.0, partition.length, _BOARD_WIDTH):
-        end = min(start + _BOARD_WIDTH, partition.length)
-        openings = [
-            Opening(max(d.start, start) - start, min(d.end, end) - start, 0.0, DOOR_HEIGHT)
-            for d in partition.doors
-            if d.start < end and d.end > start
-        ]
-        board = wall(end - start, (inner, 0.01), (inner + _BOARD_THICKNESS, top), openings)
-        boards.append(moved(board, from_yaw(0.0, (start, 0.0, 0.0))))
-    return boards
+def _shares(length: float, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Boards go up from one end; the rest of a long wall may come later."""
+    if length < 2 * _BOARD_WIDTH or rng.random() < 0.5:
+        return [(0.0, length)]
+    split = _BOARD_WIDTH * int(rng.integers(1, int(length / _BOARD_WIDTH)))
+    return [(0.0, split), (split, length)]
 
 
-def _door_frame(door: Opening) -> Mesh:
-    depth = _STUD_DEPTH / 2 + _BOARD_THICKNESS + 0.01
-    return merge(
-        [
-            box((door.start, -depth, 0.0), (door.start + 0.04, depth, door.top)),
-            box((door.end - 0.04, -depth, 0.0), (door.end, depth, door.top)),
-            box((door.start, -depth, door.top - 0.04), (door.end, depth, door.top)),
-        ]
+def _board(item: Wall, inner: float, low: float, high: float, top: float) -> Mesh:
+    openings = [
+        Opening(max(door.start, low) - low, min(door.end, high) - low, 0.0, door.top)
+        for door in item.doors
+        if door.start < high and door.end > low
+    ]
+    board = wall(high - low, (inner, 0.01), (inner + _BOARD, top), openings)
+    return Mesh(board.vertices + np.array([low, 0.0, 0.0]), board.triangles)
+
+
+def _block_wall(item: Wall, height: float, rng: np.random.Generator) -> list[_Part]:
+    """A first course, then half the height, then up to the slab."""
+    half = _BLOCK / 2
+    breast = _COURSE * int(rng.integers(4, 7))
+    levels = [(0.0, _COURSE, TRACKS), (_COURSE, breast, STUDS), (breast, height, ONE_SIDE)]
+    labels = ("first course", "lower courses", "upper courses")
+    parts = []
+    for label, (bottom, top, start) in zip(labels, levels, strict=True):
+        courses = wall(item.length, (-half, bottom), (half, top), item.doors)
+        parts.append(_Part("blockwork", label, start, courses))
+    return parts
+
+
+def _glass_wall(item: Wall, height: float, rng: np.random.Generator) -> list[_Part]:
+    """Frames and panes below a closed strip; its track comes with those of the others."""
+    half = 0.04
+    strip = height - 2.5
+    track = boxes((0.0, -half, 0.0), (item.length, half, 0.03))
+    if item.doors:
+        foot = [Opening(door.start, door.end, 0.0, 0.03) for door in item.doors]
+        track = wall(item.length, (-half, 0.0), (half, 0.03), foot)
+    count = max(1, round(item.length / float(rng.choice([1.0, 1.2]))))
+    edges = np.linspace(0.0, item.length - 0.05, count + 1)
+    openings = [x for door in item.doors for x in (door.start - 0.05, door.end)]
+    posts = [x for x in edges if not any(d.start - 0.05 < x < d.end for d in item.doors)]
+    x = np.array([*posts, *openings])
+    frame = boxes(
+        np.column_stack((x, np.full(len(x), -half), np.zeros(len(x)))),
+        np.column_stack((x + 0.05, np.full(len(x), half), np.full(len(x), 2.5))),
     )
+    panes = wall(item.length, (-0.006, 0.03), (0.006, 2.5), item.doors)
+    above = boxes((0.0, -half, 2.5), (item.length, half, 2.5 + strip))
+    return [
+        _Part("track", "bottom track", TRACKS, track, Material.METAL),
+        _Part("board", "strip above", CLOSED, above),
+        _Part("glass_frame", "frames", CLOSED + 0.3, frame, Material.METAL),
+        _Part("glass_pane", "panes", DOOR_FRAMES + 0.8, panes, Material.GLASS),
+    ]
 
 
-def _door_leaf(door: Opening, rng: np.random.Generator) -> Mesh:
+def _doors(item: Wall, rng: np.random.Generator) -> list[_Part]:
+    depth = (_BLOCK / 2 if item.construction is Construction.BLOCK else 0.0625) + 0.01
+    parts = []
+    for number, door in enumerate(item.doors, start=1):
+        parts.append(_Part("door_frame", f"door frame {number}", DOOR_FRAMES, _frame(door, depth)))
+        parts.append(_Part("door", f"door {number}", DOORS, _leaf(door, rng)))
+    return parts
+
+
+def _frame(door: Opening, depth: float) -> Mesh:
+    lower = [(door.start, -depth, 0.0), (door.end - 0.04, -depth, 0.0)]
+    upper = [(door.start + 0.04, depth, door.top), (door.end, depth, door.top)]
+    head = (door.start, -depth, door.top - 0.04), (door.end, depth, door.top)
+    return boxes([*lower, head[0]], [*upper, head[1]])
+
+
+def _leaf(door: Opening, rng: np.random.Generator) -> Mesh:
     """A leaf hung on one jamb and left open at some angle, as doors on a site are."""
     width = door.end - door.start - 0.1
-    leaf = box((0.0, -0.02, 0.01), (width, 0.02, door.top - 0.05))
-    angle = rng.uniform(np.radians(60), np.radians(110)) * rng.choice([-1, 1])
+    leaf = boxes((0.0, -0.02, 0.01), (width, 0.02, door.top - 0.05))
+    angle = rng.uniform(np.radians(65), np.radians(105)) * rng.choice([-1, 1])
+    hinge, turn = door.start + 0.05, angle
     if rng.random() < 0.5:
-        return moved(leaf, from_yaw(angle, (door.start + 0.05, 0.0, 0.0)))
-    return moved(leaf, from_yaw(np.pi - angle, (door.end - 0.05, 0.0, 0.0)))
+        hinge, turn = door.end - 0.05, np.pi - angle
+    return moved(leaf, from_rotation(Rotation.from_euler("z", turn), (hinge, 0.0, 0.0)))

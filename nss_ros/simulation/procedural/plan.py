@@ -1,4 +1,4 @@
-"""Floor plan of a procedural construction floor: grid, core, rooms and partition walls."""
+"""Plan of a floor's structure: grid, bands of rooms, corridors, cores and zones of work."""
 
 from __future__ import annotations
 
@@ -8,145 +8,200 @@ from itertools import pairwise
 import numpy as np
 
 from nss_ros.config import SiteConfig
-from nss_ros.geometry import Transform, from_yaw
-from nss_ros.simulation.mesh import Opening
+from nss_ros.simulation.procedural.grid import Grid, draw_grid
 from nss_ros.simulation.site import Rectangle
 
 FACADE_THICKNESS = 0.3
-COLUMN_WIDTH = 0.35
-BEAM_DEPTH = 0.45
+SLAB_OVERHANG = FACADE_THICKNESS + 0.1
+COLUMN_WIDTH = 0.4
+CORE_WALL = 0.25
 DOOR_HEIGHT = 2.1
+
+_TWO_CORRIDORS_FROM = 18.0  # depth of the floor, metres
+_LONGEST_SPAN = 8.5  # between column rows, metres
+_AREA_PER_CORE = 900.0
+_BAYS_PER_ZONE = 3
+SOUTH, MIDDLE, NORTH = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
-class Partition:
-    """A dry-lined wall from `start` to `end` and how far it is built at each stage.
+class Band:
+    """A strip of rooms beside a corridor.
 
     Attributes:
-        start: x, y of one end of its axis.
-        end: x, y of the other.
-        doors: openings along it.
-        progress: per stage, 0 nothing, 1 bottom track, 2 studs, 3 one side boarded, 4 closed.
+        y0: its lower edge, plan coordinates.
+        y1: its upper edge.
+        corridor_y: the edge at its corridor.
+        side: SOUTH, MIDDLE or NORTH.
     """
 
-    start: tuple[float, float]
-    end: tuple[float, float]
-    doors: tuple[Opening, ...]
-    progress: tuple[int, ...]
+    y0: float
+    y1: float
+    corridor_y: float
+    side: int
+
+
+@dataclass(frozen=True, slots=True)
+class Core:
+    """A concrete core; lift, stair and shaft lie side by side along the corridor.
+
+    Attributes:
+        area: outer faces of its walls, plan coordinates.
+        door_y: the edge at its corridor.
+        lift: clear space of the lift shaft, a hole in all slabs.
+        stair: clear space of the stair.
+        shaft: clear space of the riser shaft, a hole in all slabs.
+    """
+
+    area: Rectangle
+    door_y: float
+    lift: Rectangle
+    stair: Rectangle
+    shaft: Rectangle
 
     @property
-    def length(self) -> float:
-        """Metres."""
-        return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]))
-
-    @property
-    def pose(self) -> Transform:
-        """`T_map_wall`: the wall's frame has x along it from `start` and z up."""
-        yaw = np.arctan2(self.end[1] - self.start[1], self.end[0] - self.start[0])
-        return from_yaw(float(yaw), (*self.start, 0.0))
+    def stair_hole(self) -> Rectangle:
+        """Where the flight from below comes up."""
+        middle = (self.stair.x0 + self.stair.x1) / 2
+        inner = (self.stair.y0 + self.stair.y1) / 2
+        landing = 1.3 if self.door_y < inner else -1.3
+        y = self.door_y + landing
+        back = self.stair.y1 if landing > 0 else self.stair.y0
+        return Rectangle(self.stair.x0, min(y, back), middle, max(y, back))
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What stands where; the inner face of the facade starts at (0, 0).
+    """What a floor is laid out on; plan coordinates, see `grid`.
 
     Attributes:
-        width: clear size along x, metres.
-        depth: clear size along y, metres.
+        grid: of its bays.
         height: from floor slab to ceiling slab, metres.
-        columns_x: x of the column rows.
-        columns_y: y of the column rows.
-        core: concrete core with lift shaft and stairs.
-        corridor: between the southern and the northern rooms.
-        rooms: areas in which things are put, the corridor not among them.
-        partitions: dry-lined walls.
+        beam_depth: of the beams below the ceiling slab, 0 for a flat slab, metres.
+        rows: y of the column rows.
+        bands: strips of rooms.
+        corridors: (y0, y1) of each corridor.
+        cores: one or several.
+        zone_groups: per bay, the group of bays it belongs to.
     """
 
-    width: float
-    depth: float
+    grid: Grid
     height: float
-    columns_x: tuple[float, ...]
-    columns_y: tuple[float, ...]
-    core: Rectangle
-    corridor: Rectangle
-    rooms: tuple[Rectangle, ...]
-    partitions: tuple[Partition, ...]
+    beam_depth: float
+    rows: tuple[float, ...]
+    bands: tuple[Band, ...]
+    corridors: tuple[tuple[float, float], ...]
+    cores: tuple[Core, ...]
+    zone_groups: tuple[int, ...]
+
+    @property
+    def below_beams(self) -> float:
+        """Height up to which nothing of the structure reaches down, metres."""
+        return self.height - max(self.beam_depth, 0.05)
+
+    @property
+    def ceiling_height(self) -> float:
+        """Of dropped ceilings, metres."""
+        return max(min(self.below_beams - 0.4, 2.75), 2.25)
+
+    def zone(self, x: float, side: int) -> int:
+        """The zone of work at some x on one side of the floor."""
+        return self.zone_groups[int(self.grid.bay_at(x))] * 3 + side
+
+    def zone_order(self) -> np.ndarray:
+        """Place of every zone in the order of work, (zones,) in [-1, 1]."""
+        groups = np.repeat(np.arange(max(self.zone_groups) + 1), 3)
+        return np.asarray(2 * groups / max(groups.max(), 1) - 1, dtype=np.float64)
+
+    def holes(self) -> list[Rectangle]:
+        """Where the floor slab has none, and the ceiling slab neither."""
+        return [hole for core in self.cores for hole in (core.lift, core.shaft)]
 
 
 def draw_plan(config: SiteConfig, rng: np.random.Generator) -> Plan:
-    """A random plan: a corridor beside a core, rooms of unequal size on both sides."""
-    width, depth = config.width, config.depth
-    south = 0.4 * depth + rng.uniform(-0.3, 0.3)
-    north = south + rng.uniform(1.7, 2.0)
-    core_x = 0.4 * width + rng.uniform(-0.6, 0.6)
-    core = Rectangle(core_x, north, core_x + 3.4, min(north + 3.3, depth - 1.4))
-    splits = width * (np.array([0.24, 0.47, 0.73]) + rng.uniform(-0.04, 0.04, 3))
-    west = 0.2 * width + rng.uniform(-0.3, 0.3)
-    east = 0.79 * width + rng.uniform(-0.4, 0.4)
-    south_edges = [0.0, *splits.tolist(), width]
-    rooms = [Rectangle(a, 0.0, b, south) for a, b in pairwise(south_edges)]
-    rooms += [
-        Rectangle(0.0, north, west, depth),
-        Rectangle(west + 0.8, north, core.x0, depth),
-        Rectangle(core.x1, north, east, depth),
-        Rectangle(east, north, width, depth),
-    ]
-    walls = [((a, south), (b, south), 1) for a, b in pairwise(south_edges)]
-    walls += [((x, 0.0), (x, south), index % 2) for index, x in enumerate(splits.tolist())]
-    walls += [
-        ((0.0, north), (west, north), 1),
-        ((west, north), (core.x0, north), 1),
-        ((west, north), (west + 0.8, depth), 0),
-        ((east, north), (east, depth), 1),
-        ((east, north), (width, north), 1),
-    ]
+    """The structure of a floor.
+
+    Raises:
+        InputError: the wings run into one another.
+    """
+    grid = draw_grid(config, rng)
+    bands, corridors = _bands(config.depth, rng)
+    beam_depth = float(rng.choice([0.0, 0.35, 0.45])) if config.height >= 3.2 else 0.3
     return Plan(
-        width=width,
-        depth=depth,
+        grid=grid,
         height=config.height,
-        columns_x=_rows(width),
-        columns_y=_snapped(_rows(depth), north),
-        core=core,
-        corridor=Rectangle(0.0, south, width, north),
-        rooms=tuple(rooms),
-        partitions=tuple(
-            _partition(start, end, doors, config.stages, rng) for start, end, doors in walls
-        ),
+        beam_depth=beam_depth,
+        rows=_rows(config.depth, corridors),
+        bands=bands,
+        corridors=corridors,
+        cores=_cores(grid, bands, rng),
+        zone_groups=_zone_groups(grid),
     )
 
 
-def _rows(size: float) -> tuple[float, ...]:
-    count = max(3, round(size / 5.2) + 1)
-    inset = COLUMN_WIDTH / 2
-    return tuple(np.linspace(inset, size - inset, count).tolist())
+def _bands(
+    depth: float, rng: np.random.Generator
+) -> tuple[tuple[Band, ...], tuple[tuple[float, float], ...]]:
+    width = rng.uniform(1.8, 2.3)
+    if depth < _TWO_CORRIDORS_FROM:
+        south = (depth - width) / 2 + rng.uniform(-0.04, 0.04) * depth
+        north = south + width
+        bands = (Band(0.0, south, south, SOUTH), Band(north, depth, north, NORTH))
+        return bands, ((south, north),)
+    room = float(np.clip(0.28 * depth, 5.2, 8.0)) + rng.uniform(-0.2, 0.2)
+    south, north = room, depth - room
+    inner_south, inner_north = south + width, north - width
+    outer = (Band(0.0, south, south, SOUTH), Band(north, depth, north, NORTH))
+    corridors = ((south, inner_south), (inner_north, north))
+    if inner_north - inner_south < 10:
+        return (*outer, Band(inner_south, inner_north, inner_south, MIDDLE)), corridors
+    middle = (inner_south + inner_north) / 2
+    inner = (
+        Band(inner_south, middle, inner_south, MIDDLE),
+        Band(middle, inner_north, inner_north, MIDDLE),
+    )
+    return (*outer, *inner), corridors
 
 
-def _snapped(rows: tuple[float, ...], position: float) -> tuple[float, ...]:
-    """The inner row nearest to a position moved there, so that columns stand in a wall."""
-    inner = rows[1:-1]
-    nearest = min(inner, key=lambda row: abs(row - position))
-    return tuple(position if row == nearest else row for row in rows)
+def _rows(depth: float, corridors: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
+    """Columns at the facades and in the corridor walls, and between where the span is long."""
+    inset = COLUMN_WIDTH / 2 + 0.05
+    fixed = [inset, *(y for corridor in corridors for y in corridor), depth - inset]
+    rows: list[float] = []
+    for low, high in pairwise(fixed):
+        count = int(np.ceil((high - low) / _LONGEST_SPAN))
+        rows += np.linspace(low, high, count + 1)[:-1].tolist()
+    return (*rows, fixed[-1])
 
 
-def _partition(
-    start: tuple[float, float],
-    end: tuple[float, float],
-    doors: int,
-    stages: int,
+def _cores(
+    grid: Grid,
+    bands: tuple[Band, ...],
     rng: np.random.Generator,
-) -> Partition:
-    length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
-    openings = []
-    if doors:
-        door_width = float(rng.choice([0.95, 0.95, 1.1, 1.6]))
-        position = rng.uniform(0.5, max(0.55, length - door_width - 0.5))
-        openings.append(Opening(position, position + door_width, 0.0, DOOR_HEIGHT))
-    return Partition(start, end, tuple(openings), _progress(rng)[:stages])
+) -> tuple[Core, ...]:
+    """Cores in the bays in the middle of equal parts of the floor."""
+    candidates = [bay for first, last in grid.runs() for bay in range(first, last + 1)]
+    count = max(1, round(grid.length * grid.depth / _AREA_PER_CORE))
+    shares = (np.arange(count) + rng.uniform(0.35, 0.65)) / count
+    picked = sorted({candidates[int(share * len(candidates))] for share in shares})
+    middle = [band for band in bands if band.side == MIDDLE]
+    band = middle[0] if middle else bands[-1]
+    # The only band between two corridors leaves room behind its cores.
+    depth = min(band.y1 - band.y0, 6.5) if len(middle) == 1 else band.y1 - band.y0
+    return tuple(_core(grid, bay, band, depth) for bay in picked)
 
 
-def _progress(rng: np.random.Generator) -> tuple[int, ...]:
-    """Zones are not in step: a wall may be closed where the next one is a chalk line."""
-    first = int(rng.choice([0, 1, 2, 3], p=[0.3, 0.2, 0.4, 0.1]))
-    second = max(first, int(rng.choice([2, 3, 4], p=[0.3, 0.4, 0.3])))
-    third = max(second, int(rng.choice([3, 4], p=[0.15, 0.85])))
-    return first, second, third
+def _core(grid: Grid, bay: int, band: Band, depth: float) -> Core:
+    x0, x1 = grid.stations[bay], grid.stations[bay + 1]
+    y0, y1 = band.y0, band.y0 + depth
+    low, high = y0 + CORE_WALL, y1 - CORE_WALL
+    edges = x0 + CORE_WALL + np.array([0.0, 0.38, 0.8, 1.0]) * (x1 - x0 - CORE_WALL)
+    lift, stair, shaft = (
+        Rectangle(float(a), low, float(b) - CORE_WALL, high) for a, b in pairwise(edges)
+    )
+    lift = Rectangle(lift.x0, low, lift.x1, min(high, low + 2.4))
+    return Core(Rectangle(float(x0), y0, float(x1), y1), band.corridor_y, lift, stair, shaft)
+
+
+def _zone_groups(grid: Grid) -> tuple[int, ...]:
+    return tuple(bay // _BAYS_PER_ZONE for bay in range(grid.bays))
