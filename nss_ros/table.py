@@ -84,13 +84,15 @@ class Table:
             box=box.SIMPLE_HEAD,
             padding=(0, 0, 0, 1),
         )
-        for column in self.columns:
-            heading = f"{column.name}\n({column.unit})" if column.unit else column.name
-            left = column.align is Align.LEFT
+        rows = self._texts()
+        for number, column in enumerate(self.columns):
+            # Where there is little room headings are broken, numbers never.
             table.add_column(
-                Text(heading), justify="left" if left else "right", vertical="top", no_wrap=left
+                Text(f"{column.name}\n({column.unit})" if column.unit else column.name),
+                justify="left" if column.align is Align.LEFT else "right",
+                min_width=max((cell_len(row[number]) for row in rows), default=0),
             )
-        for row in self._texts():
+        for row in rows:
             table.add_row(*(Text(cell) for cell in row))
         return table
 

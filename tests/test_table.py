@@ -41,8 +41,8 @@ def markdown_cells(line):
     return [re.sub(r"\\([!-/:-@\[-`{-~])", r"\1", cell.strip()) for cell in cells]
 
 
-def console_text(table):
-    console = Console(width=200, file=io.StringIO())
+def console_text(table, width=200):
+    console = Console(width=width, file=io.StringIO())
     console.print(table.to_rich())
     return console.file.getvalue()
 
@@ -96,6 +96,12 @@ def test_the_terminal_shows_the_same_texts():
     for part in ("Pairs of cross_area", "(m²)", "1,235", "32.9", "12,345", "OR >= 0.1"):
         assert part in text
     assert re.search(r"B +- +inf +7\b", text)
+
+
+def test_a_narrow_terminal_breaks_headings_but_no_cell():
+    columns = (Column("method", align=Align.LEFT), Column("recall of different stages", "%"))
+    table = Table("t", columns, (("fpfh_ransac", "20.0-35.1"),))
+    assert re.search(r"fpfh_ransac +20\.0-35\.1", console_text(table, width=28))
 
 
 def test_markup_of_rich_in_a_cell_is_text():
