@@ -32,7 +32,8 @@ NEW_COLOUR = (0.90, 0.45, 0.05)
 """Tint of what was not there at the stage before."""
 
 _SAMPLES = 2  # per pixel along each side: one of each pattern of the renderer
-_MARGIN = 0.4
+_MARGIN = 0.4  # of a picture, metres
+_SURROUNDINGS = 2.5  # what stands farther outside does not widen it, metres
 _GAP = 16
 _SKY, _GROUND = np.array([0.93, 0.96, 0.99]), np.array([0.75, 0.76, 0.76])
 _OLD_COLOUR = np.array([0.80, 0.80, 0.78])
@@ -256,17 +257,16 @@ def camera_axes(azimuth: float, pitch: float) -> tuple[Array, Array, Array]:
 
 
 def _frame(site: Site, right: Array, up: Array, height: float) -> tuple[Array, Array]:
-    """Lower left and upper right of the site in the picture plane, metres."""
+    """Lower left and upper right in the picture plane of all that is near the floor, metres."""
     extent, z = site.extent, site.floor_height
-    corners = np.array(
-        [
-            (x, y, level)
-            for x in (extent.x0, extent.x1)
-            for y in (extent.y0, extent.y1)
-            for level in (z, z + height)
-        ]
+    low, high = np.array((extent.x0, extent.y0, z)), np.array((extent.x1, extent.y1, z + height))
+    around = np.array((_SURROUNDINGS, _SURROUNDINGS, 0.5))
+    around_top = around * (1, 1, 0)
+    vertices = np.concatenate(
+        [np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T]
+        + [element.mesh.vertices for element in site.elements if len(element.mesh.vertices)]
     )
-    plane = corners @ np.stack((right, up), axis=1)
+    plane = np.clip(vertices, low - around, high + around_top) @ np.stack((right, up), axis=1)
     return plane.min(axis=0) - _MARGIN, plane.max(axis=0) + _MARGIN
 
 

@@ -48,11 +48,17 @@ class Renderer:
         import open3d as o3d  # costs seconds
 
         self._tensor = o3d.core.Tensor.from_numpy
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            self._tensor(mesh.vertices.astype(np.float32)),
-            self._tensor(mesh.triangles.astype(np.uint32)),
-        )
+        # Built by one thread: else the number of threads decides among coincident surfaces.
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        # Embree is of single precision, so sites in a national grid are moved to the origin.
+        self._offset = np.zeros(3)
+        if len(mesh.triangles):
+            used = mesh.vertices[np.unique(mesh.triangles)]
+            self._offset = np.rint((used.min(axis=0) + used.max(axis=0)) / 2)
+            self._scene.add_triangles(
+                self._tensor((mesh.vertices - self._offset).astype(np.float32)),
+                self._tensor(mesh.triangles.astype(np.uint32)),
+            )
         self._colours = np.asarray(colours, dtype=np.float64)
         self._cut = cut
 
@@ -164,7 +170,7 @@ class Renderer:
         return np.asarray(self._scene.test_occlusions(rays, 0.0, 1.0).numpy() > 0)
 
     def _rays(self, origins: Array, directions: Array) -> Any:
-        return self._tensor(np.hstack((origins, directions)).astype(np.float32))
+        return self._tensor(np.hstack((origins - self._offset, directions)).astype(np.float32))
 
 
 def _hemisphere(normals: Array, sample: NDArray[np.intp]) -> Array:
