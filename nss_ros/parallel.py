@@ -9,16 +9,18 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+from functools import cache, partial
 from typing import TypeVar
 
 from joblib import Parallel, delayed, parallel_config
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from nss_ros.errors import InputError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# With more threads than cores numpy is slower, and its sums depend on the machine.
+# With more threads than cores numpy is slower, and its sums depend on the number of threads.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -37,6 +39,9 @@ def run(
 ) -> Iterator[Result]:
     """Results of a function for all items, in their order, as they come.
 
+    Each call has one thread of the linear algebra libraries, in this process too, so that the
+    results are the same bytes for any number of workers.
+
     Args:
         function: importable by name, with arguments and results that can be pickled.
         items: one call each.
@@ -48,13 +53,24 @@ def run(
     Raises:
         InputError: Ray was asked for and is not installed.
     """
+    call = partial(_call, function)
     if engine is Engine.LOCAL and workers == 1:
-        yield from map(function, items)
+        yield from map(call, items)
         return
     with _backend(engine):
         count = workers or (-1 if engine is Engine.RAY else os.cpu_count() or 1)
         calls = Parallel(n_jobs=count, return_as="generator", pre_dispatch="4*n_jobs")
-        yield from calls(delayed(function)(item) for item in items)
+        yield from calls(delayed(call)(item) for item in items)
+
+
+def _call(function: Callable[[Item], Result], item: Item) -> Result:
+    with _libraries().limit(limits=1):
+        return function(item)
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 @contextmanager

@@ -8,7 +8,7 @@ and that the temporal change ratio is taken within convex hulls. The formulas be
 reading of that:
 
 - overlap ratio: the share of source points that have a target point within tau after
-  ground-truth alignment; it is not symmetric.
+  ground-truth alignment; it is not symmetric, so it is given in both directions.
 - temporal change ratio: of all points of both fragments that lie in the convex hull of the
   other, the share without a point of the other within tau; it is symmetric. What one fragment
   does not see because it is hidden counts as changed, so same-stage pairs are not at zero.
@@ -21,48 +21,118 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
+from nss_ros.errors import InputError
 from nss_ros.geometry import Transform, inverse, relative, transform_points
 
 _HULL_TOLERANCE = 1e-9  # of barycentric coordinates
+_MOST_CELLS = 2**25  # 32 MiB; a fragment at tau = 0.2 m has about 2**18
+_FAR, _NEAR, _MET = 0, 1, 2
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cells:
+    """A grid that tells for most positions whether a point lies within tau, without a search."""
+
+    origin: NDArray[np.float64]
+    size: float
+    labels: NDArray[np.uint8]
+
+    def at(self, positions: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """MET (surely a point within tau), FAR (surely none) or NEAR (to be searched), (n,)."""
+        cells = np.clip(
+            (positions - self.origin) / self.size, 0, np.array(self.labels.shape) - 1
+        ).astype(np.int32)
+        _, rows, columns = self.labels.shape
+        index = (cells[:, 0] * rows + cells[:, 1]) * columns + cells[:, 2]
+        return np.asarray(self.labels.reshape(-1)[index])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
     """Points in their own frame with what every pair of them needs.
 
     Attributes:
-        points: (n, 3) metres.
+        points: (n, 3) metres, finite; kept as float64.
         tree: of the points.
         hull: tetrahedra that fill the convex hull; None for flat or tiny clouds.
         radius: largest distance of a point from the origin of its frame, metres.
+
+    Raises:
+        InputError: the points are not (n, 3) or not finite.
     """
 
     points: NDArray[np.floating]
     tree: cKDTree = field(init=False)
     hull: Delaunay | None = field(init=False)
     radius: float = field(init=False)
+    _cells: dict[float, _Cells | None] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        lengths = np.linalg.norm(self.points, axis=1)
-        object.__setattr__(self, "tree", cKDTree(self.points))
-        object.__setattr__(self, "hull", _hull(self.points))
-        object.__setattr__(self, "radius", float(lengths.max(initial=0.0)))
+        points = finite_points(self.points)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "tree", cKDTree(points))
+        object.__setattr__(self, "hull", _hull(points))
+        object.__setattr__(self, "radius", float(np.linalg.norm(points, axis=1).max(initial=0.0)))
+
+    def met(
+        self, positions: NDArray[np.float64], labels: NDArray[np.uint8] | None, tau: float
+    ) -> NDArray[np.bool_]:
+        """Which positions (n, 3) have a point within tau, given their labels if there are any."""
+        if labels is None:
+            return _has_neighbour(positions, self.tree, tau)
+        result = np.asarray(labels == _MET)
+        near = np.flatnonzero(labels == _NEAR)
+        result[near] = _has_neighbour(positions[near], self.tree, tau)
+        return result
+
+    def labels(self, positions: NDArray[np.float64], tau: float) -> NDArray[np.uint8] | None:
+        """What the grid for tau says of positions (n, 3); None where a grid would be too large."""
+        if tau not in self._cells:
+            self._cells[tau] = _make_cells(finite_points(self.points), tau)
+        cells = self._cells[tau]
+        return None if cells is None else cells.at(positions)
 
 
 @dataclass(frozen=True, slots=True)
 class PairOverlap:
-    """Overlap ratio and temporal change ratio of a pair; see the module."""
+    """The ratios of a pair; see the module.
+
+    Attributes:
+        overlap_ratio: share of source points with a target point within tau.
+        temporal_change: NaN where no point lies in the hull of the other.
+        reverse_overlap_ratio: share of target points with a source point within tau.
+    """
 
     overlap_ratio: float
     temporal_change: float
+    reverse_overlap_ratio: float
+
+
+def finite_points(points: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The points as float64.
+
+    Raises:
+        InputError: they are not (n, 3) or not finite.
+    """
+    array = np.ascontiguousarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise InputError(f"A point cloud must be an array of shape (n, 3), not {array.shape}.")
+    if not np.isfinite(array).all():
+        bad = int((~np.isfinite(array)).any(axis=1).sum())
+        raise InputError(
+            f"A point cloud holds {bad} points that are not finite: remove them before it is "
+            "measured."
+        )
+    return array
 
 
 def pair_overlap(
     source: Cloud, target: Cloud, T_target_source: Transform, tau: float = 0.2
 ) -> PairOverlap:
-    """Both ratios of one pair.
+    """All ratios of one pair.
 
     Args:
         source: the source's points.
@@ -71,23 +141,54 @@ def pair_overlap(
         tau: metres.
 
     Returns:
-        Overlap ratio (0 for an empty source) and temporal change ratio (NaN where no point
-        lies in the hull of the other).
+        Overlap ratios (0 for an empty fragment) and temporal change ratio.
+
+    Raises:
+        InputError: tau is not positive.
     """
+    figures = overlap_of_at_least(source, target, T_target_source, 0.0, tau)
+    assert figures is not None  # every ratio is at least 0
+    return figures
+
+
+def overlap_of_at_least(
+    source: Cloud, target: Cloud, T_target_source: Transform, least: float, tau: float = 0.2
+) -> PairOverlap | None:
+    """All ratios of one pair, or None if both overlap ratios are below a limit.
+
+    Cheaper than `pair_overlap` where little overlaps: a look at coarse cells is often enough.
+
+    Args:
+        source: the source's points.
+        target: the target's points.
+        T_target_source: ground truth.
+        least: limit of the larger overlap ratio.
+        tau: metres.
+
+    Raises:
+        InputError: tau is not positive.
+    """
+    if not tau > 0:
+        raise InputError(f"The overlap distance tau must be positive, not {tau} m.")
     source_in_target = transform_points(T_target_source, source.points)
     target_in_source = transform_points(inverse(T_target_source), target.points)
-    source_met = _has_neighbour(source_in_target, target.tree, tau)
-    target_met = _has_neighbour(target_in_source, source.tree, tau)
+    source_labels = target.labels(source_in_target, tau)
+    target_labels = source.labels(target_in_source, tau)
+    if max(_most(source_labels), _most(target_labels)) < least:
+        return None
+    source_met = target.met(source_in_target, source_labels, tau)
+    target_met = source.met(target_in_source, target_labels, tau)
+    overlap, reverse = _share(source_met), _share(target_met)
+    if max(overlap, reverse) < least:
+        return None
     shared = np.concatenate(
         (
             source_met[_inside(source_in_target, target.hull)],
             target_met[_inside(target_in_source, source.hull)],
         )
     )
-    return PairOverlap(
-        overlap_ratio=float(source_met.mean()) if len(source_met) else 0.0,
-        temporal_change=float(1 - shared.mean()) if len(shared) else float("nan"),
-    )
+    change = 1 - _share(shared) if len(shared) else float("nan")
+    return PairOverlap(overlap, change, reverse)
 
 
 def all_overlaps(
@@ -110,6 +211,31 @@ def all_overlaps(
     return overlaps
 
 
+def _make_cells(points: NDArray[np.float64], tau: float) -> _Cells | None:
+    if len(points) == 0:
+        return None
+    # Two points of one cell are at most its diagonal apart, a little less than tau; points that
+    # are three cells apart along an axis have two cells, more than tau, between them.
+    size = tau / np.sqrt(3) * (1 - 1e-9)
+    origin = points.min(axis=0) - 3 * size
+    extent = np.floor((points.max(axis=0) - origin) / size) + 4
+    if extent.prod() > _MOST_CELLS:
+        return None
+    occupied = np.zeros(extent.astype(np.int64), dtype=np.uint8)
+    occupied[tuple(((points - origin) / size).astype(np.int32).T)] = 1
+    # The outermost layers stay FAR, so that positions beyond the grid can be clipped to it.
+    return _Cells(origin, size, occupied + maximum_filter(occupied, size=5))
+
+
+def _most(labels: NDArray[np.uint8] | None) -> float:
+    """Upper bound of an overlap ratio."""
+    return 1.0 if labels is None else _share(labels != _FAR)
+
+
+def _share(mask: NDArray[np.bool_]) -> float:
+    return float(mask.mean()) if len(mask) else 0.0
+
+
 def _has_neighbour(points: NDArray[np.float64], tree: cKDTree, tau: float) -> NDArray[np.bool_]:
     if len(points) == 0 or tree.n == 0:
         return np.zeros(len(points), dtype=bool)
@@ -119,7 +245,7 @@ def _has_neighbour(points: NDArray[np.float64], tree: cKDTree, tau: float) -> ND
     return np.asarray(np.isfinite(distances))
 
 
-def _hull(points: NDArray[np.floating]) -> Delaunay | None:
+def _hull(points: NDArray[np.float64]) -> Delaunay | None:
     try:
         # Tetrahedra between the hull's vertices are searched far faster than its planes.
         return Delaunay(points[ConvexHull(points).vertices])

@@ -4,7 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from nss_ros.dataset.overlap import Cloud, all_overlaps, pair_overlap
+from nss_ros.dataset.overlap import Cloud, all_overlaps, overlap_of_at_least, pair_overlap
+from nss_ros.errors import InputError
 from nss_ros.geometry import exponential, inverse, relative, transform_points
 
 seeds = st.integers(0, 2**32 - 1)
@@ -105,3 +106,69 @@ def test_all_overlaps_skips_only_pairs_that_cannot_touch():
             assert overlaps[i, j] == figures or np.isnan(figures.temporal_change)
         else:
             assert figures.overlap_ratio == 0
+
+
+@settings(max_examples=25)
+@given(seeds, st.floats(0.05, 0.4))
+def test_the_reverse_ratio_is_that_of_the_pair_turned_round(seed, tau):
+    source, target, T_target_source = random_pair(seed)
+    forth = pair_overlap(Cloud(source), Cloud(target), T_target_source, tau)
+    back = pair_overlap(Cloud(target), Cloud(source), inverse(T_target_source), tau)
+    assert back.overlap_ratio == forth.reverse_overlap_ratio
+    assert back.reverse_overlap_ratio == forth.overlap_ratio
+    assert forth.overlap_ratio == brute_force(source, target, T_target_source, tau)[0]
+
+
+@settings(max_examples=25)
+@given(seeds)
+def test_neither_the_order_of_the_points_nor_repeating_all_of_them_matters(seed):
+    source, target, T_target_source = random_pair(seed)
+    before = pair_overlap(Cloud(source), Cloud(target), T_target_source)
+    rng = np.random.default_rng(seed)
+    mixed = rng.permutation(np.concatenate((source, source))), rng.permutation(target)
+    after = pair_overlap(*map(Cloud, mixed), T_target_source)
+    assert after.overlap_ratio == before.overlap_ratio
+    assert after.reverse_overlap_ratio == before.reverse_overlap_ratio
+    alone = pair_overlap(Cloud(rng.permutation(source)), Cloud(mixed[1]), T_target_source)
+    assert alone.temporal_change == pytest.approx(before.temporal_change, abs=1e-12, nan_ok=True)
+    assert 0 <= before.overlap_ratio <= 1
+    assert not before.temporal_change < 0
+    assert not before.temporal_change > 1
+
+
+@settings(max_examples=40)
+@given(seeds, st.floats(0.0, 1.0))
+def test_only_pairs_below_the_limit_in_both_directions_are_dropped(seed, least):
+    source, target, T_target_source = random_pair(seed)
+    T_target_source[:3, 3] += 0.8
+    figures = pair_overlap(Cloud(source), Cloud(target), T_target_source)
+    dropped = overlap_of_at_least(Cloud(source), Cloud(target), T_target_source, least)
+    if max(figures.overlap_ratio, figures.reverse_overlap_ratio) >= least:
+        assert dropped == figures or np.isnan(figures.temporal_change)
+    else:
+        assert dropped is None
+
+
+def test_a_point_far_off_is_measured_without_a_huge_grid():
+    source, target, T_target_source = random_pair(1)
+    far = np.concatenate((target, [[1e7, 1e7, 1e7]]))
+    figures = pair_overlap(Cloud(source), Cloud(far), T_target_source)
+    near = pair_overlap(Cloud(source), Cloud(target), T_target_source)
+    assert figures.overlap_ratio == near.overlap_ratio
+    assert figures.reverse_overlap_ratio == pytest.approx(
+        near.reverse_overlap_ratio * len(target) / len(far)
+    )
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (np.array([[0.0, 0.0, np.nan]]), "holds 1 points that are not finite"),
+        (np.zeros((4, 2)), r"shape \(n, 3\), not \(4, 2\)"),
+    ],
+)
+def test_what_cannot_be_measured_is_said(points, words):
+    with pytest.raises(InputError, match=words):
+        Cloud(points)
+    with pytest.raises(InputError, match=r"tau must be positive, not 0\.0 m"):
+        pair_overlap(Cloud(np.zeros((1, 3))), Cloud(np.zeros((1, 3))), np.eye(4), 0.0)
