@@ -1,51 +1,82 @@
-"""Ray casting and distances against a mesh, by Open3D's RaycastingScene (Embree)."""
+"""Ray casting against a mesh, by Open3D's RaycastingScene (Embree)."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from nss_ros.simulation.element import Material
 from nss_ros.simulation.mesh import Mesh
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """What n rays hit first.
+
+    Attributes:
+        distances: (n,) float32 in lengths of the rays' directions; inf without a hit.
+        normals: (n, 3) float32 unit normals of the triangles, either way; zero without a hit.
+        triangles: (n,) uint32 indices; 2**32 - 1 without a hit.
+    """
+
+    distances: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    triangles: NDArray[np.uint32]
 
 
 class Scene:
     """A mesh to be looked at.
 
+    One thread builds it and casts: among coincident surfaces, which one is hit would depend on
+    the number of threads otherwise, and many spots are simulated at a time anyway.
+
     Args:
-        mesh: in the frame of all rays and points.
+        mesh: in the frame of all rays and points; may be empty.
+        materials: (m,) uint8 `Material` per triangle; all are matt if missing.
+
+    Attributes:
+        mesh: as given.
+        materials: as given.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, materials: NDArray[np.uint8] | None = None) -> None:
         import open3d as o3d  # costs seconds
 
+        matt = np.full(len(mesh.triangles), Material.MATT, dtype=np.uint8)
+        self.mesh = mesh
+        self.materials = matt if materials is None else materials
         self._tensor = o3d.core.Tensor.from_numpy
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            self._tensor(mesh.vertices.astype(np.float32)),
-            self._tensor(mesh.triangles.astype(np.uint32)),
-        )
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        # Embree is of single precision, so sites in a national grid are moved to the origin.
+        self._offset = np.zeros(3)
+        if len(mesh.triangles):
+            used = mesh.vertices[np.unique(mesh.triangles)]
+            self._offset = np.rint((used.min(axis=0) + used.max(axis=0)) / 2)
+            self._scene.add_triangles(
+                self._tensor((mesh.vertices - self._offset).astype(np.float32)),
+                self._tensor(mesh.triangles.astype(np.uint32)),
+            )
 
-    def cast(
-        self, origins: NDArray[np.floating], directions: NDArray[np.floating]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def cast(self, origins: NDArray[np.floating], directions: NDArray[np.floating]) -> Hits:
         """What rays hit first.
 
         Args:
             origins: (n, 3) or (3,), metres.
             directions: (n, 3) of any length but zero.
-
-        Returns:
-            Distances (n,) in lengths of the directions, inf without a hit, and the unit
-            normals (n, 3) of the triangles, zero without a hit.
         """
         rays = np.empty((len(directions), 6), dtype=np.float32)
-        rays[:, :3] = origins
+        rays[:, :3] = origins - self._offset
         rays[:, 3:] = directions
-        answer = self._scene.cast_rays(self._tensor(rays))
-        distances = np.asarray(answer["t_hit"].numpy(), dtype=np.float64)
-        return distances, np.asarray(answer["primitive_normals"].numpy(), dtype=np.float64)
+        answer = self._scene.cast_rays(self._tensor(rays), nthreads=1)
+        return Hits(
+            answer["t_hit"].numpy(),
+            answer["primitive_normals"].numpy(),
+            answer["primitive_ids"].numpy(),
+        )
 
     def distance(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Distance of points (n, 3) from the nearest surface, (n,) metres."""
-        queries = self._tensor(np.ascontiguousarray(points, dtype=np.float32))
+        queries = self._tensor((points - self._offset).astype(np.float32))
         return np.asarray(self._scene.compute_distance(queries).numpy(), dtype=np.float64)

@@ -1,43 +1,235 @@
-"""From settings to scans: site, viewpoints, fragments with their poses, pairs, ground truth."""
+"""From a site to scans: viewpoints of every stage, and what the scanner sees from each."""
 
 from __future__ import annotations
 
+import itertools
 import json
-from collections.abc import Callable
+import os
+import zlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nss_ros import __version__
 from nss_ros.config import SimulationConfig
 from nss_ros.dataset.overlap import Cloud, all_overlaps
-from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
+from nss_ros.errors import InputError
+from nss_ros.fragment import (
+    Fragment,
+    FragmentId,
+    FragmentPair,
+    Points,
+    occupied_voxels,
+    voxel_means,
+)
 from nss_ros.geometry import Transform, relative
 from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGraph
+from nss_ros.parallel import run
+from nss_ros.simulation.occupancy import door_triangles, occupancy_map
+from nss_ros.simulation.panorama import FULL_SCALE, panorama
 from nss_ros.simulation.procedural.floor import build_floor
-from nss_ros.simulation.rig import draw_pose, scan
+from nss_ros.simulation.rig import Returns, draw_pose, scan
 from nss_ros.simulation.scene import Scene
-from nss_ros.simulation.site import Site
-from nss_ros.simulation.viewpoints import choose_viewpoints, occupancy_map
+from nss_ros.simulation.site import Rectangle, Site, StageMesh
+from nss_ros.simulation.viewpoints import choose_viewpoints
 
 _VIEWPOINT_STREAM, _SCAN_STREAM = 1, 2
 
 
 @dataclass(frozen=True, slots=True)
+class Spot:
+    """Where a fragment is taken.
+
+    Attributes:
+        id: of the fragment.
+        place: (3,) x, y of the tripod and z of the floor under it, metres, map frame.
+    """
+
+    id: FragmentId
+    place: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
 class Scan:
-    """A fragment and where it was taken."""
+    """A fragment, where it was taken, and what its points lie on.
+
+    Attributes:
+        fragment: voxelised points, sensor frame.
+        T_map_fragment: pose of the sensor.
+        normals: (n, 3) float32 unit normals of the surfaces, towards the sensor, sensor frame.
+        elements: (n,) int32 index of the site's element under each point.
+        panorama: (h, w) uint16 depth panorama as `nss_ros.simulation.panorama` defines it, if
+            asked for.
+    """
 
     fragment: Fragment
     T_map_fragment: Transform
+    normals: NDArray[np.float32]
+    elements: NDArray[np.int32]
+    panorama: NDArray[np.uint16] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Stage:
+    """The mesh of a stage as it goes to other processes; `key` tells it from all others there."""
+
+    key: tuple[int, int, int]
+    mesh: StageMesh
+
+
+def simulate_site(
+    site: Site,
+    config: SimulationConfig,
+    seed: int,
+    workers: int = 0,
+    skip: Collection[FragmentId] = (),
+    spots: Sequence[Spot] | None = None,
+    report: Callable[[FragmentId], None] | None = None,
+) -> Iterator[Scan]:
+    """All fragments of a site, in canonical order.
+
+    Every spot draws from a stream of its own, so the same seed gives the same bytes whatever
+    the number of workers and whatever is skipped.
+
+    Args:
+        site: to be scanned.
+        config: viewpoints, rig, voxel size, panorama.
+        seed: of everything random.
+        workers: processes; 0: one per core.
+        skip: fragments that are there already.
+        spots: what `choose_spots` gave for the same arguments, if it was called already.
+        report: called with every fragment that is left out because its spot sees nothing.
+
+    Raises:
+        InputError: a stage has no free floor to stand on.
+    """
+    chosen = choose_spots(site, config, seed, workers) if spots is None else spots
+    done = set(skip)
+    wanted = [spot for spot in chosen if spot.id not in done]
+    calls = (
+        (stage, spot, config, seed)
+        for stage, spot in zip(_stages(site, [s.id.stage for s in wanted]), wanted, strict=True)
+    )
+    for spot, taken in zip(wanted, run(_scan_spot, calls, workers), strict=True):
+        if taken is not None:
+            yield taken
+        elif report is not None:
+            report(spot.id)
+
+
+def choose_spots(site: Site, config: SimulationConfig, seed: int, workers: int = 0) -> list[Spot]:
+    """The spots of all stages, in canonical order; each stage chooses its own.
+
+    Args:
+        site: to be scanned.
+        config: viewpoints and range of the rig.
+        seed: of the choice.
+        workers: processes; 0: one per core.
+
+    Raises:
+        InputError: a stage has no free floor to stand on.
+    """
+    numbers = range(1, site.stages + 1)
+    calls = (
+        (stage, door_triangles(site, stage.mesh), site.area, site.extent, site.floor_height,
+         config, seed)
+        for stage in _stages(site, numbers)
+    )  # fmt: skip
+    return [
+        Spot(FragmentId(site.area, stage, spot), place)
+        for stage, places in zip(numbers, run(_choose_places, calls, workers), strict=True)
+        for spot, place in enumerate(places, start=1)
+    ]
+
+
+def _stages(site: Site, numbers: Iterable[int]) -> Iterator[_Stage]:
+    """The stages of these numbers, which may repeat; the last one is kept."""
+    call = next(_CALLS)
+    latest: _Stage | None = None
+    for number in numbers:
+        key = (os.getpid(), call, number)
+        if latest is None or latest.key != key:
+            latest = _Stage(key, site.stage_mesh(number))
+        yield latest
+
+
+_PlaceCall = tuple[_Stage, NDArray[np.bool_], str, Rectangle, float, SimulationConfig, int]
+
+
+def _choose_places(call: _PlaceCall) -> NDArray[np.float64]:
+    stage, of_door, area, extent, floor_height, config, seed = call
+    number = stage.key[-1]
+    occupancy = occupancy_map(_scene(stage), of_door, extent, floor_height, config.viewpoints)
+    rng = _stream(seed, area, number, 0, _VIEWPOINT_STREAM)
+    try:
+        return choose_viewpoints(occupancy, config.viewpoints, config.rig.max_range, rng)
+    except InputError as error:
+        raise InputError(f"Area {area}, stage {number}: {error}") from error
+
+
+def _scan_spot(call: tuple[_Stage, Spot, SimulationConfig, int]) -> Scan | None:
+    """What a spot gives, None if that is nothing."""
+    stage, spot, config, seed = call
+    rng = _stream(seed, spot.id.area, spot.id.stage, spot.id.spot, _SCAN_STREAM)
+    T_map_fragment = draw_pose(spot.place, config.rig, rng)
+    reach = max(config.rig.max_range, FULL_SCALE if config.panorama else 0)
+    everything = scan(_scene(stage), T_map_fragment, config.rig, rng, reach)
+    returns = everything.within(config.rig.max_range) if config.panorama else everything
+    if len(returns.points) == 0:
+        return None
+    points, normals, triangles = _voxelized(returns, config.voxel_size)
+    return Scan(
+        Fragment(spot.id, points, gravity_aligned=True),
+        T_map_fragment,
+        normals,
+        stage.mesh.elements[triangles],
+        panorama(everything.points, config.panorama_height) if config.panorama else None,
+    )
+
+
+def _voxelized(
+    returns: Returns, voxel_size: float
+) -> tuple[Points, NDArray[np.float32], NDArray[np.uint32]]:
+    """Mean point and normal of every voxel, and the triangle of the point nearest to the mean."""
+    voxels, count = occupied_voxels(returns.points, voxel_size)
+    points = voxel_means(returns.points, voxels, count)
+    apart = returns.points - points.take(voxels, axis=0)
+    squared = np.einsum("ij,ij->i", apart, apart)
+    least = np.full(count, np.inf, dtype=np.float32)
+    np.minimum.at(least, voxels, squared)
+    nearest = np.flatnonzero(squared == least[voxels])[::-1]
+    chosen = np.empty(count, dtype=np.int64)
+    chosen[voxels[nearest]] = nearest  # of several, the first stays
+    normals = voxel_means(returns.normals, voxels, count)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    # Both sides of a thin board may cancel out.
+    normals = np.where(lengths > 0.1, normals / np.maximum(lengths, 0.1), returns.normals[chosen])
+    return points, normals, returns.triangles[chosen]
+
+
+def _stream(seed: int, area: str, stage: int, spot: int, use: int) -> np.random.Generator:
+    return np.random.default_rng((seed, zlib.crc32(area.encode()), stage, spot, use))
+
+
+_CALLS = itertools.count()
+_SCENES: dict[tuple[int, int, int], Scene] = {}
+"""The scene that this process used last, by the key of its stage."""
+
+
+def _scene(stage: _Stage) -> Scene:
+    if stage.key not in _SCENES:
+        _SCENES.clear()
+        _SCENES[stage.key] = Scene(stage.mesh.mesh, stage.mesh.materials)
+    return _SCENES[stage.key]
 
 
 def simulate_scans(
     config: SimulationConfig, report: Callable[[FragmentId], None] | None = None
 ) -> list[Scan]:
-    """All fragments of all stages, in canonical order.
-
-    Every spot draws from a stream of its own, so the same seed gives the same points.
+    """All fragments of the procedural floor of the settings, in canonical order.
 
     Args:
         config: everything.
@@ -46,12 +238,14 @@ def simulate_scans(
     Raises:
         InputError: a stage has no free floor to stand on.
     """
-    site = build_floor(config.area, config.site, config.seed)
-    return [
-        taken
-        for stage in range(1, site.stages + 1)
-        for taken in _scan_stage(site, stage, config, report)
-    ]
+    scans = []
+    for taken in simulate_site(
+        build_floor(config.area, config.site, config.seed), config, config.seed
+    ):
+        scans.append(taken)
+        if report:
+            report(taken.fragment.id)
+    return scans
 
 
 def ground_truth_graph(config: SimulationConfig, scans: list[Scan]) -> PoseGraph:
@@ -93,28 +287,3 @@ def _flat(name: str, value: Any) -> dict[str, str]:
         for part, item in value.items()
         for key, text in _flat(f"{name}.{part}", item).items()
     }
-
-
-def _scan_stage(
-    site: Site,
-    stage: int,
-    config: SimulationConfig,
-    report: Callable[[FragmentId], None] | None,
-) -> list[Scan]:
-    scene = Scene(site.stage_mesh(stage).mesh)
-    spots = choose_viewpoints(
-        occupancy_map(scene, site.extent, config.viewpoints),
-        config.viewpoints,
-        config.rig.max_range,
-        np.random.default_rng((config.seed, stage, _VIEWPOINT_STREAM)),
-    )
-    scans = []
-    for number, spot in enumerate(spots, start=1):
-        rng = np.random.default_rng((config.seed, stage, number, _SCAN_STREAM))
-        T_map_fragment = draw_pose(spot, config.rig, rng)
-        points = voxelize(scan(scene, T_map_fragment, config.rig, rng), config.voxel_size)
-        fragment = Fragment(FragmentId(config.area, stage, number), points, gravity_aligned=True)
-        scans.append(Scan(fragment, T_map_fragment))
-        if report:
-            report(fragment.id)
-    return scans
