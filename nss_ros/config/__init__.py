@@ -6,7 +6,14 @@ the dotted name of the field inside its node's section, for example `icp.max_dis
 registration node is `registration.icp.max_distance` in a file.
 """
 
-from nss_ros.config.dataset import DatasetConfig, PairConfig
+from nss_ros.config.dataset import (
+    DatasetConfig,
+    GraphConfig,
+    PairConfig,
+    SelectionConfig,
+    SplitConfig,
+)
+from nss_ros.config.ground_truth import AlignmentConfig, RefinementConfig
 from nss_ros.config.loading import NssConfig, load_config, validated, write_config
 from nss_ros.config.run import (
     FpfhConfig,
@@ -23,8 +30,10 @@ from nss_ros.config.simulation import RigConfig, SimulationConfig, ViewpointConf
 from nss_ros.config.site import SiteConfig, WingConfig
 
 __all__ = [
+    "AlignmentConfig",
     "DatasetConfig",
     "FpfhConfig",
+    "GraphConfig",
     "IcpConfig",
     "MultiwayConfig",
     "NssConfig",
@@ -32,12 +41,15 @@ __all__ = [
     "PlayerConfig",
     "PoseGraphConfig",
     "RecorderConfig",
+    "RefinementConfig",
     "RegistrationConfig",
     "RegistrationNodeConfig",
     "RigConfig",
     "Section",
+    "SelectionConfig",
     "SimulationConfig",
     "SiteConfig",
+    "SplitConfig",
     "ViewpointConfig",
     "WingConfig",
     "load_config",

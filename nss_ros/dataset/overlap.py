@@ -28,7 +28,8 @@ from nss_ros.errors import InputError
 from nss_ros.geometry import Transform, inverse, relative, transform_points
 
 _HULL_TOLERANCE = 1e-9  # of barycentric coordinates
-_MOST_CELLS = 2**25  # 32 MiB; a fragment at tau = 0.2 m has about 2**18
+# Of a grid; a fragment has about ten per point at tau = 0.2 m. With many more a search is faster.
+_MOST_CELLS, _MOST_CELLS_PER_POINT = 2**16, 64
 _FAR, _NEAR, _MET = 0, 1, 2
 
 
@@ -219,7 +220,7 @@ def _make_cells(points: NDArray[np.float64], tau: float) -> _Cells | None:
     size = tau / np.sqrt(3) * (1 - 1e-9)
     origin = points.min(axis=0) - 3 * size
     extent = np.floor((points.max(axis=0) - origin) / size) + 4
-    if extent.prod() > _MOST_CELLS:
+    if extent.prod() > max(_MOST_CELLS, _MOST_CELLS_PER_POINT * len(points)):
         return None
     occupied = np.zeros(extent.astype(np.int64), dtype=np.uint8)
     occupied[tuple(((points - origin) / size).astype(np.int32).T)] = 1
