@@ -11,8 +11,11 @@ Every ray takes the same number of draws whatever it hits.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from nss_ros.config import RigConfig
 from nss_ros.simulation.element import Material
@@ -20,11 +23,31 @@ from nss_ros.simulation.element import Material
 Array = NDArray[np.float32]
 
 
-def lateral_jitter(shape: tuple[int, ...], config: RigConfig, rng: np.random.Generator) -> Array:
-    """Shifts of rays with x = 1 along y and z, in units of x; of any shape, normal."""
-    jitter = rng.standard_normal(shape, dtype=np.float32)
-    jitter *= np.float32(np.radians(config.lateral_noise))
-    return jitter
+_NORMAL = ndtri((np.arange(2**16) + 0.5) / 2**16).astype(np.float32)
+"""Quantiles of the normal distribution: a table of these is faster than drawing exactly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Draws:
+    """The random part of the noise of n rays.
+
+    Attributes:
+        lateral: (2, n) float32 standard normal.
+        axial: (n,) float32 standard normal.
+        chance: (n,) float32 uniform in (0, 1).
+    """
+
+    lateral: Array
+    axial: Array
+    chance: Array
+
+
+def draw_noise(count: int, rng: np.random.Generator) -> Draws:
+    """Draws for so many rays, each of 16 bits."""
+    bits = np.frombuffer(rng.bytes(8 * count), dtype="<u2").reshape(4, count)
+    normal = _NORMAL.take(bits[:3])
+    chance = (bits[3].astype(np.float32) + np.float32(0.5)) * np.float32(2.0**-16)
+    return Draws(normal[:2], normal[2], chance)
 
 
 def measured_depth(depth: Array, normal: Array, config: RigConfig) -> Array:

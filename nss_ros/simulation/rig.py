@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from nss_ros.config import RigConfig
 from nss_ros.geometry import Transform, from_rotation
-from nss_ros.simulation.noise import deepest_error, lateral_jitter, measured_depth, returned
+from nss_ros.simulation.noise import deepest_error, draw_noise, measured_depth, returned
 from nss_ros.simulation.scene import Scene
 
 PITCHES = (-30.0, 0.0, 30.0)
@@ -58,15 +58,15 @@ def draw_pose(place: ArrayLike, config: RigConfig, rng: np.random.Generator) -> 
 
 
 def image_directions(config: RigConfig) -> NDArray[np.float32]:
-    """Rays of one depth image, (h * w, 3) with x = 1, so that a depth times a ray is a point."""
+    """Rays of one depth image, (3, h * w) with x = 1, so that a depth times a ray is a point."""
     half_width = math.tan(math.radians(config.horizontal_fov / 2))
     half_height = math.tan(math.radians(config.vertical_fov / 2))
     columns = (np.arange(config.image_width) + 0.5) / config.image_width * 2 - 1
     rows = (np.arange(config.image_height) + 0.5) / config.image_height * 2 - 1
-    directions = np.ones((config.image_height, config.image_width, 3), dtype=np.float32)
-    directions[..., 1] = -columns * half_width
-    directions[..., 2] = -rows[:, None] * half_height
-    return directions.reshape(-1, 3)
+    directions = np.ones((3, config.image_height, config.image_width), dtype=np.float32)
+    directions[1] = -columns * half_width
+    directions[2] = -rows[:, None] * half_height
+    return directions.reshape(3, -1)
 
 
 def image_rotations() -> NDArray[np.float64]:
@@ -93,16 +93,17 @@ def scan(
     """
     reach = config.max_range if reach is None else reach
     nominal = image_directions(config)
-    lengths = np.linalg.norm(nominal, axis=1)
-    # One by one: the arrays of one image stay in the processor's cache.
+    lengths = np.linalg.norm(nominal, axis=0)
+    # One by one, and a row per axis: the arrays of an image stay in the processor's cache.
     images = [
         _image(scene, T_map_fragment, rotation, (nominal, lengths), config, rng, reach)
         for rotation in image_rotations()
     ]
+    points, normals, triangles = zip(*images, strict=True)
     return Returns(
-        np.concatenate([image.points for image in images]),
-        np.concatenate([image.normals for image in images]),
-        np.concatenate([image.triangles for image in images]),
+        np.concatenate(points, axis=1).T,
+        np.concatenate(normals, axis=1).T,
+        np.concatenate(triangles),
     )
 
 
@@ -114,45 +115,40 @@ def _image(
     config: RigConfig,
     rng: np.random.Generator,
     reach: float,
-) -> Returns:
-    """What one image measures, sensor frame.
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32]]:
+    """Points and normals (3, n) of one image in the sensor frame, and their triangles (n,).
 
     Args:
         scene: the site, map frame.
         T_map_fragment: pose of the sensor.
         rotation: (3, 3) from the image frame to the sensor frame.
-        directions: nominal rays of the image with x = 1, and their lengths.
+        directions: nominal rays of the image, and their lengths.
         config: range and noise.
         rng: of the noise.
         reach: points farther away are cut, metres.
     """
     nominal, lengths = directions
+    draws = draw_noise(len(lengths), rng)
     cast = nominal.copy()
-    cast[:, 1:] += lateral_jitter((len(cast), 2), config, rng)
-    normal = rng.standard_normal(len(cast), dtype=np.float32)
-    uniform = rng.random(len(cast), dtype=np.float32)
+    cast[1:] += draws.lateral * np.float32(np.radians(config.lateral_noise))
     into_map = (T_map_fragment[:3, :3] @ rotation).astype(np.float32)
-    hits = scene.cast(T_map_fragment[:3, 3], cast @ into_map.T)
-    distances = hits.distances * lengths
-    near = np.flatnonzero(distances <= np.float32(reach + deepest_error(reach, config)))
-    normals, triangles = hits.normals.take(near, axis=0) @ into_map, hits.triangles.take(near)
-    cosine = -np.einsum("ij,ij->i", normals, cast.take(near, axis=0)) / lengths.take(near)
-    normals *= np.sign(cosine)[:, None]  # towards the sensor, whichever way the mesh has them
-    kept = np.flatnonzero(
-        returned(
-            distances.take(near),
-            np.abs(cosine),
-            scene.materials.take(triangles),
-            uniform.take(near),
-            config,
-        )
+    hits = scene.cast(T_map_fragment[:3, 3], (into_map @ cast).T)
+    limit = np.float32(reach + deepest_error(reach, config))
+    near = np.flatnonzero(hits.distances * lengths <= limit)
+    true_depth, lengths = hits.distances.take(near), lengths.take(near)
+    normals = into_map.T @ hits.normals.take(near, axis=0).T
+    triangles = hits.triangles.take(near)
+    cosine = -(normals * cast.take(near, axis=1)).sum(axis=0) / lengths
+    depth = measured_depth(true_depth, draws.axial.take(near), config)
+    back = returned(
+        true_depth * lengths,
+        np.abs(cosine),
+        scene.materials.take(triangles),
+        draws.chance.take(near),
+        config,
     )
-    rays = near.take(kept)
-    depth = measured_depth(hits.distances.take(rays), normal.take(rays), config)
-    points = nominal.take(rays, axis=0) * depth[:, None]
-    into_sensor = rotation.T.astype(np.float32)
-    return Returns(
-        points @ into_sensor,
-        normals.take(kept, axis=0) @ into_sensor,
-        triangles.take(kept),
-    ).within(reach)
+    kept = np.flatnonzero(back & (depth * lengths <= np.float32(reach)))
+    normals *= np.sign(cosine)  # towards the sensor, whichever way the mesh has them
+    into_sensor = rotation.astype(np.float32)
+    points = nominal.take(near.take(kept), axis=1) * depth.take(kept)
+    return into_sensor @ points, into_sensor @ normals.take(kept, axis=1), triangles.take(kept)

@@ -196,8 +196,8 @@ def _voxelized(
     """Mean point and normal of every voxel, and the triangle of the point nearest to the mean."""
     voxels, count = occupied_voxels(returns.points, voxel_size)
     points = voxel_means(returns.points, voxels, count)
-    apart = returns.points - points.take(voxels, axis=0)
-    squared = np.einsum("ij,ij->i", apart, apart)
+    apart = returns.points.T - np.ascontiguousarray(points.T).take(voxels, axis=1)
+    squared = np.square(apart, out=apart).sum(axis=0)
     least = np.full(count, np.inf, dtype=np.float32)
     np.minimum.at(least, voxels, squared)
     nearest = np.flatnonzero(squared == least[voxels])[::-1]
