@@ -20,7 +20,7 @@ _INSET = 0.08
 _BAR = 0.024
 _RAISED = 0.15
 _WITHOUT_CEILING = {RoomKind.LIVING, RoomKind.BEDROOM, RoomKind.LOBBY, RoomKind.SERVICE}
-_SHARE_RAISED = 0.3  # of the open-plan rooms of offices
+_SHARE_RAISED = 0.25  # of the open-plan rooms of offices
 
 
 def build_ceilings(

@@ -23,13 +23,14 @@ from nss_ros.simulation.procedural.things import THINGS, Thing
 from nss_ros.simulation.site import Rectangle
 
 # Things per square metre, and the work from which on, for each of `things.PHASES`.
-_DENSITY = (0.01, 0.12, 0.07, 0.15, 0.14, 0.06)
+_DENSITY = (0.01, 0.08, 0.05, 0.09, 0.09, 0.04)
+_CORRIDOR_SHARE = 0.5  # of that in corridors, where one has to get through
 _PHASE_STARTS = (-2.0, 0.0, 1.8, 4.4, 7.4)
 _DOOR_CLEARANCE = 0.9
 _TRIES = 30
 _STAYS = 0.15
 _WALL_MARGIN = 0.12
-_NARROW = 0.45  # half the depth of what may stand in a corridor, metres
+_NARROW = 0.4  # half the depth of what may stand in a corridor, metres
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +131,11 @@ def _cluttered(
     """Things put down at each stage, some of which stay for the next one."""
     elements = []
     room = floor.room
+    share = _CORRIDOR_SHARE if room.kind is RoomKind.CORRIDOR else 1.0
+    density = np.array(_DENSITY) * (amount * share)
     for stage in range(1, programme.stages + 1):
         phase = int(np.searchsorted(_PHASE_STARTS, programme.times[room.zone, stage - 1], "right"))
-        for _ in range(int(rng.poisson(room.area.area * _DENSITY[phase] * amount))):
+        for _ in range(int(rng.poisson(room.area.area * density[phase]))):
             thing = _draw(phase, rng)
             stays = stage < programme.stages and rng.random() < _STAYS
             stages = stages_from(stage, stage + 1 if stays else stage)

@@ -15,7 +15,7 @@ FACADE_THICKNESS = 0.3
 SLAB_OVERHANG = FACADE_THICKNESS + 0.1
 COLUMN_WIDTH = 0.4
 CORE_WALL = 0.25
-DOOR_HEIGHT = 2.1
+DOOR_HEIGHT = 2.15
 
 _TWO_CORRIDORS_FROM = 18.0  # depth of the floor, metres
 _LONGEST_SPAN = 8.5  # between column rows, metres
