@@ -12,6 +12,7 @@ Graphs are read as they are, so that the scorer sees every digit and every omiss
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -39,6 +40,7 @@ class ChallengeNode:
         transform: (4, 4) pose, the zero matrix for an outlier; None where there is none.
         anchor: flagged as the node whose ground-truth pose fixes the frame.
         labels: the fields `building`, `stage` and `spot`, as far as given.
+        points: number of points of the point cloud; None where the file does not say.
     """
 
     id: NodeId
@@ -46,6 +48,7 @@ class ChallengeNode:
     transform: Transform | None = None
     anchor: bool = False
     labels: tuple[tuple[str, str], ...] = ()
+    points: int | None = None
 
     @property
     def outlier(self) -> bool:
@@ -120,6 +123,17 @@ def write_graphs(path: Path, graphs: Sequence[ChallengeGraph]) -> None:
         FormatError: the file cannot be written.
     """
     write_file(path, json.dumps([_graph_fields(graph) for graph in graphs]).encode())
+
+
+def write_graph(path: Path, graph: ChallengeGraph) -> None:
+    """Write one graph in the field names of 2025 and with its size, as the release has them.
+
+    Raises:
+        FormatError: the file cannot be written.
+    """
+    fields = _graph_fields(graph)
+    fields = {"name": fields.pop("name"), "size": len(graph.nodes)} | fields
+    write_file(path, (json.dumps(fields, indent=1) + "\n").encode())
 
 
 def fragment_ids(graph: ChallengeGraph) -> dict[NodeId, FragmentId]:
@@ -229,7 +243,16 @@ def _node(data: Any, place: str) -> ChallengeNode:
         transform=_matrix(_either(data, "global_transform", "tsfm"), f"node {node_id!r}", place),
         anchor=data.get("anchor") in (True, 1),
         labels=tuple((key, str(data[key])) for key in keys if data.get(key) is not None),
+        points=_count(data.get("points"), node_id, place),
     )
+
+
+def _count(value: Any, node_id: NodeId, place: str) -> int | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise FormatError(f"'points' of node {node_id!r} of {place} is not a count: {value!r}.")
+    return value
 
 
 def _edge(data: Any, place: str) -> ChallengeEdge:
@@ -371,6 +394,10 @@ def _node_fields(node: ChallengeNode) -> dict[str, Any]:
     fields: dict[str, Any] = {"id": node.id}
     if node.name is not None:
         fields["name"] = node.name
+    for key, label in node.labels:
+        fields[key] = int(label) if label.isdecimal() and str(int(label)) == label else label
+    if node.points is not None:
+        fields["points"] = node.points
     if node.transform is not None:
         fields["global_transform"] = node.transform.tolist()
     if node.anchor:
@@ -382,6 +409,9 @@ def _edge_fields(edge: ChallengeEdge) -> dict[str, Any]:
     fields: dict[str, Any] = {"source_id": edge.source, "target_id": edge.target}
     if edge.transform is not None:
         fields["relative_transform"] = edge.transform.tolist()
+    for name in ("overlap_ratio", "temporal_change"):
+        if math.isfinite(ratio := getattr(edge, name)):
+            fields[name] = ratio
     if edge.same_stage is not None:
         fields["same_stage"] = edge.same_stage
     return fields
