@@ -100,23 +100,23 @@ def main() -> None:
 
 def candidates(folder: Path) -> list[Candidate]:
     """The pairs of a dataset that may be drawn, in its order."""
-    from nss_ros.dataset.folder import DatasetFolder
+    from nss_ros.dataset.folder import PAIRS_NAME, SPLIT_FOLDER, DatasetFolder
     from nss_ros.dataset.pairs import read_pairs
+    from nss_ros.errors import InputError
     from nss_ros.geometry import relative
 
     dataset = DatasetFolder(folder)
+    split = folder / SPLIT_FOLDER / SPLIT / f"{SUBSET}.csv"
+    if not (folder / PAIRS_NAME).exists():
+        raise InputError(f"{folder} has no pairs yet: run 'nss pairs {folder}' first.")
+    table = read_pairs(split if split.exists() else folder / PAIRS_NAME)
+    table = table.take(table.selected & (table.overlap_ratio >= MIN_OVERLAP))
+    if len(table) == 0:
+        raise InputError(f"{folder} has no selected pair to register: run 'nss pairs {folder}'.")
     poses = dataset.poses()
-    table = read_pairs(folder / "pairs.csv")
-    split = folder / "splits" / SPLIT / f"{SUBSET}.csv"
-    if split.exists():
-        table = read_pairs(split)
-        chosen = table.overlap_ratio >= MIN_OVERLAP
-    else:
-        chosen = table.selected & (table.overlap_ratio >= MIN_OVERLAP)
     return [
         Candidate(pair, float(overlap), relative(poses[pair.source], poses[pair.target]))
-        for pair, overlap, wanted in zip(table.pairs, table.overlap_ratio, chosen, strict=True)
-        if wanted
+        for pair, overlap in zip(table.pairs, table.overlap_ratio, strict=True)
     ]
 
 

@@ -86,11 +86,12 @@ class Table:
         )
         rows = self._texts()
         for number, column in enumerate(self.columns):
-            # Where there is little room headings are broken, numbers never.
+            # Where there is little room, headings are broken between words, and cells never.
+            unbroken = [*column.heading.split(), *(row[number] for row in rows)]
             table.add_column(
                 Text(f"{column.name}\n({column.unit})" if column.unit else column.name),
                 justify="left" if column.align is Align.LEFT else "right",
-                min_width=max((cell_len(row[number]) for row in rows), default=0),
+                min_width=max((cell_len(text) for text in unbroken), default=0),
             )
         for row in rows:
             table.add_row(*(Text(cell) for cell in row))

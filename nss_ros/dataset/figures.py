@@ -63,13 +63,14 @@ def pair_figure(pairs: PairTable, selected: bool) -> Figure:
     from matplotlib.figure import Figure
 
     shown = pairs.selected if selected else np.ones(len(pairs), dtype=bool)
-    complexity = (pairs.source_complexity + pairs.target_complexity) / 2
+    complexity = pairs.complexity
     axes = (
         _Axis("overlap ratio", pairs.overlap_ratio, 1.0),
         _Axis("temporal change ratio", pairs.temporal_change, 1.0),
         _Axis("surface variation", complexity, _ceiling(complexity)),
     )
-    sides = (pairs.same_stage, ~pairs.same_stage)
+    same = pairs.same_stage
+    sides = (same, ~same)
     masks = [side & some for side in sides for some in (pairs.selected, True)]
     most = max(float(axis.shares(mask).max()) for axis in axes for mask in masks)
     most = 10 * float(np.ceil(max(most, 1) / 10))

@@ -2,10 +2,16 @@ import io
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.collections import LineCollection, PathCollection, QuadMesh
 from PIL import Image
 
-from nss_ros.dataset.figures import plan_figure, spatiotemporal_figure, write_figure
+from nss_ros.dataset.figures import (
+    pair_figure,
+    plan_figure,
+    spatiotemporal_figure,
+    write_figure,
+)
+from nss_ros.dataset.pairs import PairTable
 from nss_ros.errors import InputError
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.geometry import from_yaw, relative
@@ -48,6 +54,72 @@ def dots(axes):
 def lines(axes):
     drawn = [c for c in axes.collections if isinstance(c, LineCollection)]
     return [line for collection in drawn for line in collection.get_segments()]
+
+
+def pairs_of(count, seed=0):
+    """Pairs of one area with two stages, one in ten without complexity and change."""
+    rng = np.random.default_rng(seed)
+    ids = [FragmentId("A", stage, spot) for stage in (1, 2) for spot in range(1, 60)]
+    every = [(a, b) for i, a in enumerate(ids) for b in ids[i + 1 :]]
+    rows = [every[i] for i in rng.choice(len(every), count, replace=False)]
+    source, target = (np.empty(count, dtype=object) for _ in range(2))
+    for i, (a, b) in enumerate(rows):
+        source[i], target[i] = a, b
+    numbers = rng.random((3, count))
+    unknown = np.arange(count) % 10 == 0
+    return PairTable(
+        source,
+        target,
+        numbers[0],
+        numbers[0],
+        np.where(unknown, np.nan, numbers[1]),
+        np.where(unknown, np.nan, 0.1 * numbers[2]),
+        np.full(count, 0.03),
+        selected=numbers[0] > 0.5,
+    )
+
+
+def joints(figure):
+    """The joint distributions: shares in percent of the panels' cells, from left to right."""
+    meshes = [c for axes in figure.axes for c in axes.collections if isinstance(c, QuadMesh)]
+    return [
+        np.ma.filled(mesh.get_array(), 0.0).reshape(20, 20)
+        for mesh in meshes
+        if mesh.axes.get_ylabel()
+    ]
+
+
+@pytest.mark.parametrize("selected", [False, True])
+def test_the_joint_distributions_are_those_of_the_pairs(selected):
+    pairs = pairs_of(900)
+    figure = pair_figure(pairs, selected)
+    drawn = joints(figure)
+    assert len(drawn) == 4
+    for number, side in enumerate((pairs.same_stage, ~pairs.same_stage)):
+        mask = side & (pairs.selected | (not selected))
+        for values, end, mesh in (
+            (pairs.temporal_change, 1.0, drawn[2 * number]),
+            (pairs.complexity, 0.08, drawn[2 * number + 1]),
+        ):
+            here = mask & np.isfinite(values)
+            expected = np.zeros((20, 20))
+            for x, y in zip(pairs.overlap_ratio[here], values[here], strict=True):
+                expected[int(y / end * 20), int(x * 20)] += 100 / mask.sum()
+            assert np.allclose(mesh, expected)
+    titles = [half.get_suptitle() for half in figure.subfigs]
+    same = (pairs.same_stage & (pairs.selected | (not selected))).sum()
+    assert titles[0] == f"Same stage ({same})"
+
+
+def test_figures_of_all_and_of_selected_pairs_have_the_same_scales():
+    pairs = pairs_of(300)
+    figures = [pair_figure(pairs, selected) for selected in (False, True)]
+    limits = [[(axes.get_xlim(), axes.get_ylim()) for axes in figure.axes] for figure in figures]
+    assert limits[0] == limits[1]
+
+
+def test_a_dataset_without_pairs_can_be_drawn(tmp_path):
+    write_figure(tmp_path / "none.png", pair_figure(pairs_of(0), selected=True))
 
 
 @pytest.mark.parametrize("stages", [1, 2, 3, 4, 5])
