@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.errors import InputError
+from nss_ros.simulation.panorama import FULL_SCALE, MISSING
 from nss_ros.simulation.picture import Image, camera_axes
 
 Array = NDArray[np.float64]
-
-FULL_SCALE = 10.0
-"""Metres of the largest value of a depth panorama of the NSS release."""
 
 MAX_RANGE = 4.5
 """End of the scale of ranges, metres: the range of the scanner."""
@@ -77,17 +75,13 @@ def range_colours(points: NDArray[np.floating], max_range: float = MAX_RANGE) ->
 
 
 def panorama_picture(
-    panorama: NDArray[np.uint16],
-    width: int = 1024,
-    full_scale: float = FULL_SCALE,
-    max_range: float = MAX_RANGE,
+    panorama: NDArray[np.uint16], width: int = 1024, max_range: float = MAX_RANGE
 ) -> Image:
     """A depth panorama in viridis, near ones bright, grey where there is no return.
 
     Args:
-        panorama: (h, w), 0 for no return.
+        panorama: (h, w), as `nss_ros.simulation.panorama` defines it.
         width: pixels, of square pixels of the panorama.
-        full_scale: metres of the value 65,535.
         max_range: end of the colours, metres.
 
     Raises:
@@ -98,15 +92,16 @@ def panorama_picture(
     height = max(1, round(width * panorama.shape[0] / panorama.shape[1]))
     rows = np.arange(height) * panorama.shape[0] // height
     columns = np.arange(width) * panorama.shape[1] // width
-    depth = panorama[np.ix_(rows, columns)].ravel() * (full_scale / 65535)
-    colours = np.where(depth[:, None] > 0, _viridis(depth, max_range), _NO_RETURN)
+    values = panorama[np.ix_(rows, columns)].ravel()
+    colours = _viridis(values * (FULL_SCALE / MISSING), max_range)
+    colours[values == MISSING] = _NO_RETURN
     return np.asarray(np.rint(255 * colours), dtype=np.uint8).reshape(height, width, 3)
 
 
 def _viridis(distance: NDArray[np.floating], max_range: float) -> Array:
     from matplotlib import colormaps  # costs half a second
 
-    return np.asarray(colormaps["viridis"](1 - np.clip(distance / max_range, 0.0, 1.0))[:, :3])
+    return np.array(colormaps["viridis"](1 - np.clip(distance / max_range, 0.0, 1.0))[:, :3])
 
 
 def _nearest(

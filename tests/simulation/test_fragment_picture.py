@@ -8,6 +8,7 @@ from nss_ros.simulation.fragment_picture import (
     panorama_picture,
     range_colours,
 )
+from nss_ros.simulation.panorama import MISSING
 
 RED, BLUE = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 FROM_ABOVE = {"azimuth": 90.0, "elevation": 90.0, "width": 100}
@@ -63,8 +64,8 @@ def test_normals_and_ranges_have_colours_of_their_own():
 
 
 def test_a_panorama_keeps_its_rows_and_shows_what_is_near_bright():
-    panorama = np.zeros((2, 4), dtype=np.uint16)
-    panorama[1] = np.array([0.5, 2.0, 4.0, 0.0]) / 10 * 65535
+    panorama = np.full((2, 4), MISSING, dtype=np.uint16)
+    panorama[1, :3] = np.array([0.5, 2.0, 4.0]) / 10 * 65535
     image = panorama_picture(panorama, 80)
     assert image.shape == (40, 80, 3)
     assert (image[:20] == 224).all()
