@@ -25,6 +25,7 @@ from nss_ros.benchmark.clouds import Clouds
 from nss_ros.benchmark.metrics import (
     MAX_RRE,
     MAX_RTE_CHALLENGE,
+    Floats,
     f1_score,
     pairwise_rmse,
     rotation_error,
@@ -176,7 +177,20 @@ def relative_transforms(
 
 
 def global_rmse(target: ChallengeGraph, prediction: ChallengeGraph, clouds: Clouds) -> float:
-    """Official global RMSE, metres; see `squared_displacement` for the formula.
+    """Official global RMSE, metres: the root of all squares by all points of `displacements`.
+
+    Raises:
+        InputError: as `displacements`.
+        FormatError: a point cloud is missing or not valid.
+    """
+    squares, points = displacements(target, prediction, clouds)
+    return float(np.sqrt(squares.sum() / points.sum()))
+
+
+def displacements(
+    target: ChallengeGraph, prediction: ChallengeGraph, clouds: Clouds
+) -> tuple[Floats, Floats]:
+    """Of each node that is no outlier in the target: `squared_displacement`, and its points.
 
     The anchor is the first predicted node that is flagged so, else the first at all, among those
     that are no outliers in the target. A node that was not predicted has the identity as pose,
@@ -197,14 +211,14 @@ def global_rmse(target: ChallengeGraph, prediction: ChallengeGraph, clouds: Clou
     poses, true_poses = _poses(predicted), _poses(inliers)
     to_anchor = _inverse(_pose(anchor, poses, prediction), anchor, prediction, anchor=True)
     to_true_anchor = _inverse(_pose(anchor, true_poses, target), anchor, target, anchor=True)
-    total, count = 0.0, 0
-    for node in inliers:
+    squares, counts = np.zeros(len(inliers)), np.zeros(len(inliers))
+    for i, node in enumerate(inliers):
         points = clouds.points(_name(node, target))
         pose = to_anchor @ _pose(node.id, poses, prediction)
         true_pose = to_true_anchor @ _pose(node.id, {node.id: node.transform}, target)
-        total += squared_displacement(points, true_pose, pose)
-        count += len(points)
-    return float(np.sqrt(total / count))
+        squares[i] = squared_displacement(points, true_pose, pose)
+        counts[i] = len(points)
+    return squares, counts
 
 
 def outlier_f1(target: ChallengeGraph, prediction: ChallengeGraph) -> float:

@@ -15,36 +15,37 @@ collapsed into the anchor's origin (the zero matrix of a submission), and stands
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nss_ros.bag import Log
-from nss_ros.benchmark import challenge
-from nss_ros.benchmark.clouds import Clouds
+from nss_ros.benchmark.bootstrap import Bootstrap
+from nss_ros.benchmark.calibration import Calibration, calibrate
+from nss_ros.benchmark.classification import Classification, classify
+from nss_ros.benchmark.displacement import StageDisplacement, stage_displacements
+from nss_ros.benchmark.evaluation import (
+    Answers,
+    Booleans,
+    Edges,
+    Estimates,
+    Evaluation,
+    Placements,
+    evaluate,
+    rows,
+)
+from nss_ros.benchmark.headline import KINDS, Headline, headline
 from nss_ros.benchmark.metrics import (
-    MAX_RRE,
-    MAX_RTE,
     MAX_RTE_CHALLENGE,
     Floats,
     f1_score,
-    pairwise_rmse,
     recall,
-    rotation_error,
-    squared_displacement,
     successes,
-    translation_error,
 )
-from nss_ros.dataset.challenge import ChallengeGraph, ChallengeNode
-from nss_ros.dataset.submission import accepted_components, placed_graph, template_of
-from nss_ros.errors import InputError
-from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.geometry import Transform, inverse, relative
-from nss_ros.multiway.pose_graph import EdgeKind, NodeStatus, PoseGraph
 
 NAN = float("nan")
+BIN_WIDTH = 0.1
+"""Of the bins of overlap ratio and temporal change ratio."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,19 +113,70 @@ class MapScore:
 
 @dataclass(frozen=True, slots=True)
 class GraphScore:
-    """The score of one graph of the dataset, or of all together.
+    """The score of one graph of the dataset, of one area, or of all together.
 
     Attributes:
-        name: of the graph.
+        name: of the graph or area.
         pairwise: relative transforms against the ground truth.
         multiway: relative transforms of the map's poses; None if the log holds no map.
-        map: the map's poses; None if the log holds no map.
+        map: the map's poses; None if the log holds no map, and for an area also if one of its
+            graphs reaches into another area.
     """
 
     name: str
     pairwise: Subsets
     multiway: Subsets | None
     map: MapScore | None
+
+
+@dataclass(frozen=True, slots=True)
+class BinScore:
+    """Recall of the edges in a bin.
+
+    Attributes:
+        low: lower end of the bin.
+        high: upper end of the bin, exclusive but for the last.
+        edges: ground-truth edges by kind: all, same stage, different stage.
+        pairwise: recall (10 deg, 0.2 m) of the relative transforms by kind, percent; NaN of none.
+        multiway: recall of the map's poses by kind, percent; None if the log holds no map.
+    """
+
+    low: float
+    high: float
+    edges: dict[str, int]
+    pairwise: dict[str, float]
+    multiway: dict[str, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class OverlapScore:
+    """Overlap probabilities against the truth, by kind of pair; None where there are none.
+
+    Attributes:
+        all: all pairs.
+        same_stage: pairs of one stage.
+        different_stage: pairs of different stages.
+        without_probability: answers that give no probability, as failures may; left out.
+        unknown: answers with a probability whose truth is not known; left out.
+    """
+
+    all: Classification | None
+    same_stage: Classification | None
+    different_stage: Classification | None
+    without_probability: int
+    unknown: int
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationScore:
+    """Confidence against success (10 deg, 0.2 m), by kind of pair; None where there are none.
+
+    Of every estimate whose true transform is known, also of pairs that are no ground-truth edge.
+    """
+
+    all: Calibration | None
+    same_stage: Calibration | None
+    different_stage: Calibration | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +194,17 @@ class LogScore:
         has_points: point clouds were there, so RMSE is given.
         graphs: one score per graph with ground truth, in the order of the log.
         overall: micro average.
+        method: registration method of most answers; empty without answers.
+        synchronizer: multi-way method of the map; empty without.
+        split: the dataset's split, if the log's metadata tell it.
+        training: what the method was trained on, if the log's metadata tell it.
+        areas: one score per area, micro averages.
+        overlap_bins: recall by overlap ratio; empty bins and unknown ratios are left out.
+        change_bins: recall by temporal change ratio; likewise.
+        overlap: overlap classification.
+        calibration: of the confidence.
+        displacements: of stages against each other; empty if the log holds no map.
+        headline: headline figures by name, with bootstrap intervals; see `headline`.
     """
 
     log: str
@@ -153,224 +216,110 @@ class LogScore:
     has_points: bool
     graphs: tuple[GraphScore, ...]
     overall: GraphScore
+    method: str
+    synchronizer: str
+    split: str
+    training: str
+    areas: tuple[GraphScore, ...]
+    overlap_bins: tuple[BinScore, ...]
+    change_bins: tuple[BinScore, ...]
+    overlap: OverlapScore
+    calibration: CalibrationScore
+    displacements: tuple[StageDisplacement, ...]
+    headline: dict[str, Headline]
 
 
-def score_log(log: Log) -> LogScore:
+def score_log(log: Log, bootstrap: Bootstrap | None = None) -> LogScore:
     """Score a log against its own ground truth.
+
+    Args:
+        log: with ground truth.
+        bootstrap: how intervals are found; None: as `Bootstrap` has it.
 
     Raises:
         InputError: the log holds no ground truth, or nothing that could be scored.
     """
-    graphs = [graph for graph in log.ground_truth if graph.edges or graph.poses()]
-    if not graphs:
-        raise InputError(
-            f"{log.path} holds no ground truth, so it cannot be scored: map a bag with known "
-            "poses, or export the log with 'nss export' for the challenge's server."
-        )
-    if not log.relative_transforms and log.pose_graph is None:
-        raise InputError(
-            f"{log.path} holds no answers, so there is nothing to score: map it with 'nss map' "
-            "and score the log that this writes."
-        )
-    clouds = _clouds(log, graphs)
-    tallies = [_tally(graph, log, clouds) for graph in graphs]
-    answers = [log.relative_transforms.get(pair) for pair in log.pairs]
-    answered = sum(answer is not None for answer in answers)
+    return summarize(evaluate(log), bootstrap)
+
+
+def summarize(evaluation: Evaluation, bootstrap: Bootstrap | None = None) -> LogScore:
+    """The score of a log, or of several as one result set.
+
+    Args:
+        evaluation: what was measured.
+        bootstrap: how intervals are found; None: as `Bootstrap` has it.
+    """
+    edges, placements = evaluation.edges, evaluation.placements
+    numbers = range(len(evaluation.graphs))
+    areas = sorted({str(area) for area in edges.area})
     return LogScore(
-        log=str(log.path),
-        partial=log.partial or answered < len(answers),
-        truncated=log.partial,
-        pairs=len(answers),
-        answered=answered,
-        failed=sum(answer is not None and not answer.ok for answer in answers),
-        has_points=clouds is not None,
-        graphs=tuple(_graph_score([tally], tally.name) for tally in tallies),
-        overall=_graph_score(tallies, "overall"),
+        log=evaluation.log,
+        partial=evaluation.truncated or evaluation.answered < evaluation.pairs,
+        truncated=evaluation.truncated,
+        pairs=evaluation.pairs,
+        answered=evaluation.answered,
+        failed=evaluation.failed,
+        has_points=evaluation.has_points,
+        graphs=tuple(
+            _graph_score(evaluation, evaluation.graphs[g], edges.graph == g, {g}) for g in numbers
+        ),
+        overall=_graph_score(
+            evaluation, "overall", np.ones(len(edges.pairs), dtype=bool), set(numbers)
+        ),
+        method=evaluation.method,
+        synchronizer=evaluation.synchronizer,
+        split=evaluation.split,
+        training=evaluation.training,
+        areas=tuple(
+            _graph_score(evaluation, area, edges.area == area, _graphs_of(area, placements))
+            for area in areas
+        ),
+        overlap_bins=_bins(edges, edges.overlap_ratio),
+        change_bins=_bins(edges, edges.temporal_change),
+        overlap=_overlap_score(evaluation.answers),
+        calibration=_calibration_score(evaluation.answers),
+        displacements=stage_displacements(placements) if placements is not None else (),
+        headline=headline(evaluation, bootstrap),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _EdgeErrors:
-    """Errors of each ground-truth edge, NaN where there is no estimate or no RMSE."""
-
-    same_stage: NDArray[np.bool_]
-    rre: Floats
-    rte: Floats
-    rmse: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class _MapTally:
-    """What the map score of one graph or of several is computed from."""
-
-    fragments: int
-    placed: int
-    components: int
-    true_outliers: NDArray[np.bool_]
-    unplaced: NDArray[np.bool_]
-    squares: float
-    placed_points: int
-    points: int
-    official: float
+def _graphs_of(area: str, placements: Placements | None) -> set[int]:
+    """The graphs of an area; none if one reaches into another area."""
+    if placements is None:
+        return set()
+    areas: dict[int, set[str]] = {}
+    for graph, id_ in zip(placements.graph.tolist(), placements.ids, strict=True):
+        areas.setdefault(graph, set()).add(id_.area)
+    graphs = {graph for graph, here in areas.items() if area in here}
+    return graphs if all(areas[graph] == {area} for graph in graphs) else set()
 
 
-@dataclass(frozen=True, slots=True)
-class _Tally:
-    name: str
-    pairwise: _EdgeErrors
-    multiway: _EdgeErrors | None
-    map: _MapTally | None
-
-
-def _clouds(log: Log, graphs: Sequence[PoseGraph]) -> Clouds | None:
-    needed = {node.id for graph in graphs for node in graph.nodes if _inlier(node.status)}
-    if not needed <= log.fragments.keys():
-        return None
-    clouds = {str(id_): fragment.points for id_, fragment in log.fragments.items()}
-    return Clouds(lambda name: np.asarray(clouds[name], dtype=np.float64))
-
-
-def _inlier(status: NodeStatus) -> bool:
-    return status is not NodeStatus.OUTLIER
-
-
-def _tally(graph: PoseGraph, log: Log, clouds: Clouds | None) -> _Tally:
-    measured = [_measured(edge.pair, log) for edge in graph.edges]
-    if log.pose_graph is None:
-        (pairwise,) = _edge_errors(graph, [measured], clouds)
-        return _Tally(graph.name, pairwise, None, None)
-    components = accepted_components(log.pose_graph, [node.id for node in graph.nodes])
-    main = components[0] if components else []
-    placed = log.pose_graph.poses()
-    poses = {id_: placed[id_].T_map_fragment for id_ in main}
-    estimated = [
-        relative(poses[edge.pair.source], poses[edge.pair.target])
-        if edge.pair.source in poses and edge.pair.target in poses
-        else None
-        for edge in graph.edges
-    ]
-    pairwise, multiway = _edge_errors(graph, [measured, estimated], clouds)
-    map_tally = _map_tally(graph, log.pose_graph, poses, len(components), clouds)
-    return _Tally(graph.name, pairwise, multiway, map_tally)
-
-
-def _measured(pair: FragmentPair, log: Log) -> Transform | None:
-    answer = log.relative_transforms.get(pair)
-    if answer is not None:
-        return answer.T_target_source if answer.ok else None
-    # Graphs that share an edge may have it in either direction; it is registered once.
-    reverse = log.relative_transforms.get(FragmentPair(pair.target, pair.source))
-    return inverse(reverse.T_target_source) if reverse is not None and reverse.ok else None
-
-
-def _edge_errors(
-    graph: PoseGraph, estimates: Sequence[Sequence[Transform | None]], clouds: Clouds | None
-) -> list[_EdgeErrors]:
-    """Errors of several estimates of a graph's edges; correspondences are searched once."""
-    same_stage = np.array([edge.kind is EdgeKind.SAME_STAGE for edge in graph.edges], dtype=bool)
-    errors = [
-        _EdgeErrors(same_stage, *(np.full(len(graph.edges), NAN) for _ in range(3)))
-        for _ in estimates
-    ]
-    for i, edge in enumerate(graph.edges):
-        truth = edge.T_target_source
-        source, target = str(edge.pair.source), str(edge.pair.target)
-        pairs = clouds.correspondences(source, target, truth) if clouds else np.zeros((0, 2), int)
-        for error, estimate in zip(errors, estimates, strict=True):
-            transform = estimate[i]
-            if transform is None:
-                continue
-            error.rre[i] = rotation_error(truth, transform)
-            error.rte[i] = translation_error(truth, transform)
-            if clouds and len(pairs):
-                error.rmse[i] = pairwise_rmse(
-                    clouds.points(source), clouds.points(target), pairs, transform
-                )
-    return errors
-
-
-def _map_tally(
-    graph: PoseGraph,
-    pose_graph: PoseGraph,
-    poses: dict[FragmentId, Transform],
-    components: int,
-    clouds: Clouds | None,
-) -> _MapTally:
-    truth = graph.poses()
-    anchor = next((id_ for id_ in truth if id_ in poses), None)
-    squares, placed_points, points = 0.0, 0, 0
-    for id_, node in truth.items():
-        cloud = clouds.points(str(id_)) if clouds else np.zeros((1, 3))
-        points += len(cloud)
-        if anchor is None or id_ not in poses:
-            continue
-        placed_points += len(cloud)
-        squares += squared_displacement(
-            cloud,
-            relative(node.T_map_fragment, truth[anchor].T_map_fragment),
-            relative(poses[id_], poses[anchor]),
-        )
-    return _MapTally(
-        fragments=len(graph.nodes),
-        placed=len(poses),
-        components=components,
-        true_outliers=np.array([not _inlier(node.status) for node in graph.nodes], dtype=bool),
-        unplaced=np.array([node.id not in poses for node in graph.nodes], dtype=bool),
-        squares=squares if clouds else NAN,
-        placed_points=placed_points,
-        points=points,
-        official=_official_global_rmse(graph, pose_graph, clouds) if clouds else NAN,
-    )
-
-
-def _official_global_rmse(graph: PoseGraph, pose_graph: PoseGraph, clouds: Clouds) -> float:
-    template = template_of(graph)
-    nodes = tuple(
-        ChallengeNode(node.id, str(truth.id), _matrix(truth.status, truth.T_map_fragment))
-        for node, truth in zip(template.nodes, graph.nodes, strict=True)
-    )
-    target = ChallengeGraph(graph.name, nodes)
-    try:
-        return challenge.global_rmse(target, placed_graph(template, pose_graph), clouds)
-    except InputError:
-        return NAN
-
-
-def _matrix(status: NodeStatus, pose: Transform) -> Transform | None:
-    if status is NodeStatus.PLACED:
-        return pose
-    return np.zeros((4, 4)) if status is NodeStatus.OUTLIER else None
-
-
-def _graph_score(tallies: Sequence[_Tally], name: str) -> GraphScore:
-    multiway = [tally.multiway for tally in tallies if tally.multiway is not None]
-    maps = [tally.map for tally in tallies if tally.map is not None]
+def _graph_score(
+    evaluation: Evaluation, name: str, chosen: Booleans, graphs: set[int]
+) -> GraphScore:
+    """The score of some edges and of the fragments of some graphs."""
+    edges, placements = evaluation.edges, evaluation.placements
     return GraphScore(
         name,
-        _subsets([tally.pairwise for tally in tallies]),
-        _subsets(multiway) if multiway else None,
-        _map_score(maps) if maps else None,
+        _subsets(edges.pairwise, edges.same_stage, chosen),
+        _subsets(edges.multiway, edges.same_stage, chosen) if edges.multiway else None,
+        _map_score(placements, evaluation.components, graphs) if placements and graphs else None,
     )
 
 
-def _subsets(errors: Sequence[_EdgeErrors]) -> Subsets:
-    same = np.concatenate([error.same_stage for error in errors])
-    columns = [
-        np.concatenate([getattr(error, name) for error in errors])
-        for name in ("rre", "rte", "rmse")
-    ]
-    masks = (np.ones(len(same), dtype=bool), same, ~same)
-    return Subsets(*(_edge_score(*(column[mask] for column in columns)) for mask in masks))
+def _subsets(estimates: Estimates, same_stage: Booleans, chosen: Booleans) -> Subsets:
+    masks = (chosen, chosen & same_stage, chosen & ~same_stage)
+    return Subsets(*(_edge_score(rows(estimates, mask)) for mask in masks))
 
 
-def _edge_score(rre: Floats, rte: Floats, rmse: Floats) -> EdgeScore:
-    success = successes(rre, rte, MAX_RRE, MAX_RTE)
-    answered = np.isfinite(rte)
+def _edge_score(estimates: Estimates) -> EdgeScore:
+    rre, rte, rmse = estimates.rre, estimates.rte, estimates.rmse
+    success, answered = successes(rre, rte), estimates.answered
     return EdgeScore(
         edges=len(rre),
         answered=int(answered.sum()),
         recall=recall(success),
-        recall_challenge=recall(successes(rre, rte, MAX_RRE, MAX_RTE_CHALLENGE)),
+        recall_challenge=recall(successes(rre, rte, max_rte=MAX_RTE_CHALLENGE)),
         rte=_mean(rte[success]),
         rre=_mean(rre[success]),
         rte_answered=_mean(rte[answered]),
@@ -379,21 +328,89 @@ def _edge_score(rre: Floats, rte: Floats, rmse: Floats) -> EdgeScore:
     )
 
 
-def _map_score(tallies: Sequence[_MapTally]) -> MapScore:
-    placed_points = sum(tally.placed_points for tally in tallies)
-    points = sum(tally.points for tally in tallies)
-    squares = sum(tally.squares for tally in tallies)
-    true_outliers = np.concatenate([tally.true_outliers for tally in tallies])
-    unplaced = np.concatenate([tally.unplaced for tally in tallies])
+def _map_score(placements: Placements, components: tuple[int, ...], graphs: set[int]) -> MapScore:
+    here = rows(placements, np.isin(placements.graph, sorted(graphs)))
+    placed_points = float(here.points[here.placed].sum())
+    points = float(here.points.sum())
+    official = [
+        np.sqrt(_mean_square(here.official_squares[mask], here.points[mask]))
+        for mask in (here.graph == graph for graph in sorted(graphs))
+    ]
     return MapScore(
-        fragments=sum(tally.fragments for tally in tallies),
-        placed=sum(tally.placed for tally in tallies),
-        components=sum(tally.components for tally in tallies),
-        outlier_f1=f1_score(true_outliers, unplaced) if true_outliers.any() else 100.0,
-        global_rmse=float(np.sqrt(squares / placed_points)) if placed_points else NAN,
+        fragments=len(here.ids),
+        placed=int(here.placed.sum()),
+        components=sum(components[graph] for graph in graphs),
+        outlier_f1=f1_score(here.outlier, ~here.placed) if here.outlier.any() else 100.0,
+        global_rmse=float(np.sqrt(here.squares.sum() / placed_points)) if placed_points else NAN,
         coverage=placed_points / points * 100 if points else NAN,
-        official_global_rmse=_mean(np.array([tally.official for tally in tallies])),
+        official_global_rmse=_mean(np.array(official)),
     )
+
+
+def _mean_square(squares: Floats, points: Floats) -> float:
+    return float(squares.sum() / points.sum()) if points.sum() else NAN
+
+
+def bin_numbers(ratio: Floats) -> list[tuple[tuple[float, float], Booleans]]:
+    """The bins of `BIN_WIDTH` that are not empty: their ends, and which values (n,) lie in them.
+
+    The last bin holds its upper end too; NaN lies in none.
+    """
+    last = round(1 / BIN_WIDTH) - 1
+    known = np.isfinite(ratio)
+    # The small number: 0.3 / 0.1 is less than 3.
+    number = np.full(len(ratio), -1)
+    number[known] = np.clip(np.floor(ratio[known] / BIN_WIDTH + 1e-9), 0, last)
+    return [
+        ((round(i * BIN_WIDTH, 9), round((i + 1) * BIN_WIDTH, 9)), number == i)
+        for i in np.unique(number[known]).tolist()
+    ]
+
+
+def _bins(edges: Edges, ratio: Floats) -> tuple[BinScore, ...]:
+    kinds = dict(zip(KINDS, _kinds(edges.same_stage), strict=True))
+    hits = successes(edges.pairwise.rre, edges.pairwise.rte)
+    placed = successes(edges.multiway.rre, edges.multiway.rte) if edges.multiway else None
+    bins = []
+    for (low, high), inside in bin_numbers(ratio):
+        masks = {kind: mask & inside for kind, mask in kinds.items()}
+        bins.append(
+            BinScore(
+                low=low,
+                high=high,
+                edges={kind: int(mask.sum()) for kind, mask in masks.items()},
+                pairwise={kind: recall(hits[mask]) for kind, mask in masks.items()},
+                multiway=None
+                if placed is None
+                else {kind: recall(placed[mask]) for kind, mask in masks.items()},
+            )
+        )
+    return tuple(bins)
+
+
+def _overlap_score(answers: Answers) -> OverlapScore:
+    given, known = np.isfinite(answers.overlap_probability), np.isfinite(answers.overlap)
+    both, same, different = (
+        classify(answers.overlap[mask] == 1, answers.overlap_probability[mask])
+        for mask in (known & kind for kind in _kinds(answers.same_stage))
+    )
+    return OverlapScore(both, same, different, int((~given).sum()), int((given & ~known).sum()))
+
+
+def _calibration_score(answers: Answers) -> CalibrationScore:
+    known = np.isfinite(answers.rte)
+    right = successes(answers.rre, answers.rte)
+    return CalibrationScore(
+        *(
+            calibrate(right[mask], answers.confidence[mask])
+            for mask in (known & kind for kind in _kinds(answers.same_stage))
+        )
+    )
+
+
+def _kinds(same: Booleans) -> tuple[Booleans, Booleans, Booleans]:
+    """Masks of all, same stage and different stage, in the order of `KINDS`."""
+    return np.ones(len(same), dtype=bool), same, ~same
 
 
 def _mean(values: Floats) -> float:

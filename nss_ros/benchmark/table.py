@@ -1,17 +1,17 @@
-"""Scores as tables for the terminal."""
+"""Scores as tables, by name; one structure for terminal, files and report."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from math import isfinite
+from pathlib import Path
 
-from rich import box
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
-
+from nss_ros.benchmark.calibration import Calibration
 from nss_ros.benchmark.challenge import SUBSETS, ChallengeMetrics, ChallengeScore
-from nss_ros.benchmark.score import GraphScore, LogScore, Subsets
+from nss_ros.benchmark.headline import FIGURES, KINDS
+from nss_ros.benchmark.published import PublishedRecall, published
+from nss_ros.benchmark.score import BinScore, GraphScore, LogScore, MapScore, Subsets
+from nss_ros.table import Align, Cell, Column, Table
 
 OFFICIAL_NAMES = {
     "global_rmse": ("Global RMSE", "m"),
@@ -21,123 +21,514 @@ OFFICIAL_NAMES = {
     "translation_error": ("Average Translation Error", "m"),
     "rotation_error": ("Average Rotation Error", "deg"),
 }
-_LEGEND = (
-    "Recall and F1 in percent, RTE and RMSE in metres, RRE in degrees. Recall: RRE <= 10 deg and "
-    "RTE as stated. RTE, RRE: mean over successes (0.2 m); all: over all answered edges."
+KIND_NAMES = {"all": "all", "same_stage": "same", "different_stage": "different"}
+"""Of edges and pairs, by the stages of their fragments."""
+_ERRORS = (
+    "Stages: edges within one stage, or between different ones. Recall: RRE <= 10 deg and RTE <= "
+    "0.2 m, or 0.1 m where it says so. RTE, RRE: mean over "
+    "successes at 0.2 m; of all: over all answered edges."
 )
-_SUBSET_NAMES = {"all": "all", "same_stage": "same stage", "different_stage": "different stage"}
+_SAME_STAGE_TRAINING = "same_stage"
+_INTERVALS = {
+    "recall": "recall, 0.2 m",
+    "recall_challenge": "recall, 0.1 m",
+    "rte": "RTE of successes",
+    "rre": "RRE of successes",
+    "rmse": "RMSE",
+}
+
+Row = tuple[Cell, ...]
 
 
-def log_tables(score: LogScore) -> RenderableType:
-    """A log's score: what is incomplete first, then pairwise, multi-way and map."""
+def log_tables(score: LogScore) -> dict[str, Table]:
+    """All tables of one log, by name, in the order of reading."""
     # With a single graph its rows would repeat the overall ones.
     graphs = (*score.graphs, score.overall) if len(score.graphs) > 1 else score.graphs
-    parts: list[RenderableType] = list(_banners(score))
-    parts.append(Text(_LEGEND, "dim"))
-    parts.append(
-        _edge_table("Pairwise: relative transforms", [(g.name, g.pairwise) for g in graphs])
-    )
-    multiway = [(g.name, g.multiway) for g in graphs if g.multiway is not None]
-    if multiway:
-        parts.append(_edge_table("Multi-way: the map's poses", multiway))
-        parts.append(_map_table(graphs))
-    else:
-        parts.append(Text("The log holds no map, so there are no multi-way figures.", "yellow"))
-    return Group(*parts)
+    tables = {
+        "pairwise": _edge_table(
+            "Pairwise: relative transforms", _named(graphs, "pairwise"), _ERRORS
+        ),
+    }
+    if score.overall.multiway is not None:
+        tables["multiway"] = _edge_table("Multi-way: the map's poses", _named(graphs, "multiway"))
+        tables["map"] = _map_table([(g.name, g.map) for g in graphs if g.map is not None])
+    if len(score.areas) > 1:
+        tables["areas"] = area_table(score)
+    if score.displacements:
+        tables["displacement"] = displacement_table(score)
+    return tables | _shared_tables([score]) | {"intervals": interval_table(score)}
 
 
-def challenge_tables(score: ChallengeScore) -> RenderableType:
-    """The official metrics: overall, then each scene if there are several."""
-    parts: list[RenderableType] = [Text(note, "yellow") for note in score.notes]
-    parts.append(_challenge_table("Overall", score.overall))
-    if len(score.scenes) > 1:
-        parts += [_challenge_table(name, subsets) for name, subsets in score.scenes.items()]
-    return Group(*parts)
+def run_tables(scores: Sequence[LogScore]) -> dict[str, Table]:
+    """All tables of several runs side by side, by name, in the order of reading.
+
+    Args:
+        scores: of runs; the order of the rows.
+    """
+    tables = {"pairwise": pairwise_table(scores)}
+    if any(score.training for score in scores):
+        tables["training"] = training_table(scores)
+    if any(score.overall.map is not None for score in scores):
+        tables["multiway"] = multiway_table(scores)
+        names = run_names(scores)
+        maps = zip(names, (score.overall.map for score in scores), strict=True)
+        tables["map"] = _map_table([(n, m) for n, m in maps if m is not None], "run")
+    return tables | _shared_tables(scores)
 
 
-def _banners(score: LogScore) -> Iterable[Text]:
+def notes(score: LogScore) -> list[str]:
+    """What a reader of a score has to know first: what is missing in the log."""
+    result = []
     if score.truncated:
-        yield Text("PARTIAL: the log is truncated or was never closed.", "bold yellow")
+        result.append("PARTIAL: the log is truncated or was never closed.")
     if score.answered < score.pairs:
-        yield Text(
+        result.append(
             f"PARTIAL: {score.pairs - score.answered} of {score.pairs} pairs have no answer; they "
-            "count as misses.",
-            "bold yellow",
+            "count as misses."
         )
     if score.failed:
-        yield Text(f"{score.failed} of {score.pairs} pairs failed; they count as misses.")
+        result.append(f"{score.failed} of {score.pairs} pairs failed; they count as misses.")
     if not score.has_points:
-        yield Text("The log holds no point clouds of these graphs: no RMSE.", "yellow")
+        result.append("The log holds no point clouds of these graphs: no RMSE.")
+    if score.overall.multiway is None:
+        result.append("The log holds no map, so there are no multi-way figures.")
+    return result
 
 
-def _edge_table(title: str, rows: Sequence[tuple[str, Subsets]]) -> Table:
-    table = _table(title)
-    table.add_column("between", no_wrap=True)
-    for column in (
-        "edges\nanswered", "recall\n0.2 m", "recall\n0.1 m", "RTE", "RRE", "RTE\nall", "RRE\nall",
-        "RMSE",
-    ):  # fmt: skip
-        table.add_column(column, justify="right")
-    for name, subsets in rows:
-        if len(rows) > 1:
-            table.add_row(Text(name, "bold"))
-        for attribute, label in _SUBSET_NAMES.items():
-            edge = getattr(subsets, attribute)
-            table.add_row(
-                label, f"{edge.answered}/{edge.edges}",
-                _number(edge.recall, 1), _number(edge.recall_challenge, 1),
-                _number(edge.rte, 3), _number(edge.rre, 2),
-                _number(edge.rte_answered, 3), _number(edge.rre_answered, 2),
-                _number(edge.rmse, 3),
-            )  # fmt: skip
-    return table
+def run_names(scores: Sequence[LogScore]) -> list[str]:
+    """The method of each run; with the log's name where that does not tell them apart."""
+    keys = [(score.split, score.training, score.method) for score in scores]
+    count = Counter(keys)
+    names = []
+    for score, key in zip(scores, keys, strict=True):
+        log = Path(score.log).name
+        names.append(score.method if score.method and count[key] == 1 else log)
+    return names
 
 
-def _map_table(graphs: Iterable[GraphScore]) -> Table:
-    table = _table("Map")
-    table.add_column("graph", no_wrap=True)
-    for column in (
-        "placed", "components", "outlier\nF1", "global\nRMSE", "coverage\nof points",
-        "official\nglobal RMSE",
-    ):  # fmt: skip
-        table.add_column(column, justify="right")
-    for graph in graphs:
-        if graph.map is not None:
-            table.add_row(
-                graph.name,
-                f"{graph.map.placed}/{graph.map.fragments}",
-                str(graph.map.components),
-                _number(graph.map.outlier_f1, 1),
-                _number(graph.map.global_rmse, 3),
-                _number(graph.map.coverage, 1),
-                _number(graph.map.official_global_rmse, 3),
+def pairwise_table(scores: Sequence[LogScore]) -> Table:
+    """The paper's pairwise table: recall and errors of every split and method, by kind of edge.
+
+    The published figures stand below those of the same split, or below all.
+    """
+    rows: list[Row] = []
+    ours = list(zip(scores, run_names(scores), strict=True))
+    splits = list(dict.fromkeys([*(s.split for s in scores), *(p.split for p in _published())]))
+    for split in sorted(splits):
+        for score, name in ours:
+            if score.split == split:
+                kinds = [getattr(score.overall.pairwise, kind) for kind in KINDS]
+                cells = [cell for kind in kinds for cell in (kind.recall, kind.rte, kind.rre)]
+                rows.append((split or None, name, *cells))
+        for paper in _published():
+            if paper.split == split:
+                cells = [None, None, None, paper.same_stage, None, None,
+                         paper.different_stage, None, None]  # fmt: skip
+                rows.append((split, f"{paper.method} *", *cells))
+    return Table(
+        "Pairwise registration",
+        (
+            Column("split", align=Align.LEFT),
+            Column("method", align=Align.LEFT),
+            *(
+                column
+                for kind in KIND_NAMES.values()
+                for column in (
+                    Column(f"recall, {kind}", "%", ".1f"),
+                    Column(f"RTE, {kind}", "m", ".3f"),
+                    Column(f"RRE, {kind}", "deg", ".2f"),
+                )
+            ),
+        ),
+        tuple(rows),
+        f"Recall: RRE <= 10 deg and RTE <= 0.2 m; RTE, RRE: mean over successes. {_starred()}",
+    )
+
+
+def training_table(scores: Sequence[LogScore]) -> Table:
+    """Recall of methods trained on same-stage pairs only beside the others, by split."""
+    chosen = [
+        (score, name) for score, name in zip(scores, run_names(scores), strict=True)
+        if score.training
+    ]  # fmt: skip
+    chosen.sort(key=lambda run: (run[0].split, run[1], run[0].training == _SAME_STAGE_TRAINING))
+    return Table(
+        "Trained on same-stage pairs only",
+        (
+            Column("split", align=Align.LEFT),
+            Column("method", align=Align.LEFT),
+            Column("trained on", align=Align.LEFT),
+            *(Column(f"recall, {kind}", "%", ".1f") for kind in KIND_NAMES.values()),
+        ),
+        tuple(
+            (
+                score.split or None,
+                name,
+                score.training.replace("_", " "),
+                *(getattr(score.overall.pairwise, kind).recall for kind in KINDS),
             )
-    return table
+            for score, name in chosen
+        ),
+        "Recall: RRE <= 10 deg and RTE <= 0.2 m.",
+    )
+
+
+def multiway_table(scores: Sequence[LogScore]) -> Table:
+    """The paper's multi-way table: the relative transforms, then each synchronizer's map."""
+    rows: list[Row] = []
+    names = run_names(scores)
+    shown: set[tuple[str, str, tuple[float, ...]]] = set()
+    for score, name in zip(scores, names, strict=True):
+        for way, subsets in (
+            ("-", score.overall.pairwise),
+            (score.synchronizer or "?", score.overall.multiway),
+        ):
+            if subsets is None:
+                continue
+            figures = (subsets.all.recall, subsets.all.rte_answered, subsets.all.rre_answered)
+            # Maps made of the same relative transforms share that row.
+            if way == "-" and (score.split, score.method, figures) in shown:
+                continue
+            shown.add((score.split, score.method, figures))
+            map_ = score.overall.map if way != "-" else None
+            rows.append(
+                (
+                    score.split or None, name, way, subsets.all.rmse,
+                    map_.global_rmse if map_ else None,
+                    map_.official_global_rmse if map_ else None,
+                    *(getattr(subsets, kind).recall for kind in KINDS),
+                    subsets.all.rte, subsets.all.rre,
+                )
+            )  # fmt: skip
+    return Table(
+        "Multi-way registration",
+        (
+            Column("split", align=Align.LEFT),
+            Column("pairwise", align=Align.LEFT),
+            Column("multi-way", align=Align.LEFT),
+            Column("RMSE^P", "m", ".3f"),
+            Column("RMSE^G", "m", ".3f"),
+            Column("official RMSE^G", "m", ".3f"),
+            Column("recall", "%", ".1f"),
+            Column("recall, same", "%", ".1f"),
+            Column("recall, different", "%", ".1f"),
+            Column("RTE", "m", ".3f"),
+            Column("RRE", "deg", ".2f"),
+        ),
+        tuple(rows),
+        "RMSE^P: mean over answered edges. RMSE^G: over placed fragments; official: all "
+        "fragments, as the challenge has it. Recall: RRE <= 10 deg and RTE <= 0.2 m; RTE, RRE: "
+        "mean over successes.",
+    )
+
+
+def bin_table(scores: Sequence[LogScore], by: str) -> Table:
+    """Recall by overlap ratio (`by` is `overlap`) or temporal change ratio (`change`)."""
+    several = len(scores) > 1
+    rows: list[Row] = []
+    for score, name in zip(scores, run_names(scores), strict=True):
+        for each in _bins(score, by):
+            cells: list[Cell] = [name] if several else []
+            cells.append(span(each.low, each.high))
+            for kind in KINDS[1:]:
+                cells += [each.edges[kind], each.pairwise[kind]]
+                cells.append(each.multiway[kind] if each.multiway is not None else None)
+            rows.append(tuple(cells))
+    what = "overlap ratio" if by == "overlap" else "temporal change ratio"
+    return Table(
+        f"Recall by {what}",
+        (
+            *([Column("run", align=Align.LEFT)] if several else []),
+            Column(what, align=Align.LEFT),
+            *(
+                column
+                for kind in KINDS[1:]
+                for column in (
+                    Column(f"edges, {KIND_NAMES[kind]}", form=","),
+                    Column(f"pairwise, {KIND_NAMES[kind]}", "%", ".1f"),
+                    Column(f"multi-way, {KIND_NAMES[kind]}", "%", ".1f"),
+                )
+            ),
+        ),
+        tuple(rows),
+        "Recall: RRE <= 10 deg and RTE <= 0.2 m. Bins hold their lower end.",
+    )
+
+
+def overlap_table(scores: Sequence[LogScore]) -> Table:
+    """Overlap classification by kind of pair."""
+    several = len(scores) > 1
+    rows: list[Row] = []
+    left_out = 0
+    for score, name in zip(scores, run_names(scores), strict=True):
+        left_out += score.overlap.without_probability + score.overlap.unknown
+        for kind in KINDS:
+            each = getattr(score.overlap, kind)
+            if each is not None:
+                rows.append(
+                    (
+                        *([name] if several else []), KIND_NAMES[kind], each.pairs,
+                        each.overlapping, each.mean_average_precision, each.auroc,
+                        each.accuracy, each.precision, each.recall, each.f1,
+                    )
+                )  # fmt: skip
+    return Table(
+        "Overlap classification",
+        (
+            *([Column("run", align=Align.LEFT)] if several else []),
+            Column("stages", align=Align.LEFT),
+            Column("pairs", form=","),
+            Column("overlap", form=","),
+            *(
+                Column(name, form=".3f")
+                for name in ("mAP", "AUROC", "accuracy", "precision", "recall", "F1")
+            ),
+        ),
+        tuple(rows),
+        "Overlap ratio of at least 0.1 against the probability that the method reports, called "
+        "from 0.5. mAP: average precision, mean over both classes."
+        + (f" Left out for want of a probability or of the truth: {left_out}." if left_out else ""),
+    )
+
+
+def calibration_table(scores: Sequence[LogScore]) -> Table:
+    """How confidence and success agree, by kind of pair."""
+    several = len(scores) > 1
+    rows: list[Row] = []
+    for score, name in zip(scores, run_names(scores), strict=True):
+        for kind in KINDS:
+            each = getattr(score.calibration, kind)
+            if each is not None:
+                rows.append(
+                    (
+                        *([name] if several else []), KIND_NAMES[kind], each.count,
+                        each.confidence, each.accuracy, each.expected_error, each.brier, each.auroc,
+                    )
+                )  # fmt: skip
+    return Table(
+        "Confidence of relative transforms",
+        (
+            *([Column("run", align=Align.LEFT)] if several else []),
+            Column("stages", align=Align.LEFT),
+            Column("estimates", form=","),
+            *(
+                Column(name, form=".3f")
+                for name in ("mean confidence", "share right", "ECE", "Brier", "AUROC")
+            ),
+        ),
+        tuple(rows),
+        "Right: RRE <= 10 deg and RTE <= 0.2 m. ECE: expected calibration error in ten bins. "
+        "AUROC: of confidence against right and wrong.",
+    )
+
+
+def reliability_table(calibration: Calibration) -> Table:
+    """The reliability curve."""
+    return Table(
+        "Reliability of the confidence",
+        (
+            Column("confidence", align=Align.LEFT),
+            Column("estimates", form=","),
+            Column("mean confidence", form=".3f"),
+            Column("share right", form=".3f"),
+        ),
+        tuple(
+            (span(each.low, each.high), each.count, each.confidence, each.accuracy)
+            for each in calibration.curve
+        ),
+    )
+
+
+def displacement_table(score: LogScore) -> Table:
+    """Displacement of stages against each other in the map."""
+    return Table(
+        "Stages against each other in the map",
+        (
+            Column("area", align=Align.LEFT),
+            Column("stage", form="d"),
+            Column("against", form="d"),
+            Column("fragments", form=","),
+            Column("median", "m", ".3f"),
+            Column("largest", "m", ".3f"),
+        ),
+        tuple(
+            (each.area, each.other, each.stage, each.fragments, each.median, each.largest)
+            for each in score.displacements
+        ),
+    )
+
+
+def area_table(score: LogScore) -> Table:
+    """Recall and global RMSE of each area, and micro-averaged."""
+    rows: list[Row] = []
+    for area in (*score.areas, score.overall):
+        cells: list[Cell] = [area.name, area.pairwise.all.edges]
+        cells += [getattr(area.pairwise, kind).recall for kind in KINDS]
+        for kind in KINDS:
+            cells.append(getattr(area.multiway, kind).recall if area.multiway else None)
+        cells.append(area.map.global_rmse if area.map else None)
+        rows.append(tuple(cells))
+    return Table(
+        "Areas",
+        (
+            Column("area", align=Align.LEFT),
+            Column("edges", form=","),
+            *(Column(f"pairwise, {kind}", "%", ".1f") for kind in KIND_NAMES.values()),
+            *(Column(f"multi-way, {kind}", "%", ".1f") for kind in KIND_NAMES.values()),
+            Column("global RMSE", "m", ".3f"),
+        ),
+        tuple(rows),
+        "Recall: RRE <= 10 deg and RTE <= 0.2 m. Overall: micro average.",
+    )
+
+
+def interval_table(score: LogScore) -> Table:
+    """Headline figures with their bootstrap intervals."""
+    rows: list[Row] = []
+    for prefix, way in (("", "pairwise"), ("multiway_", "multi-way")):
+        for name, title in _INTERVALS.items():
+            found = [score.headline.get(f"{prefix}{name}_{kind}") for kind in KINDS]
+            known = [each for each in found if each is not None]
+            if known:
+                ends = [(e.value, e.low, e.high) if e else (None,) * 3 for e in found]
+                cells = [cell for end in ends for cell in end]
+                rows.append((f"{way} {title}", known[0].unit, *cells))
+    for name, each in score.headline.items():
+        if not name.endswith(KINDS):
+            nothing = (None,) * 6
+            rows.append((FIGURES[name].title, each.unit, each.value, each.low, each.high, *nothing))
+    return Table(
+        "Headline figures with bootstrap intervals",
+        (
+            Column("figure", align=Align.LEFT),
+            Column("unit", align=Align.LEFT),
+            *(
+                Column(name, form=".3g")
+                for kind in KIND_NAMES.values()
+                for name in (kind, f"low, {kind}", f"high, {kind}")
+            ),
+        ),
+        tuple(rows),
+        "Percentile intervals; those of figures without spread in the sample have no width.",
+    )
+
+
+def challenge_tables(score: ChallengeScore) -> dict[str, Table]:
+    """The official metrics: overall, then each scene if there are several."""
+    tables = {"overall": _challenge_table("Overall", score.overall)}
+    if len(score.scenes) > 1:
+        tables |= {name: _challenge_table(name, scene) for name, scene in score.scenes.items()}
+    return tables
+
+
+def _shared_tables(scores: Sequence[LogScore]) -> dict[str, Table]:
+    """What looks alike for one run and for many."""
+    tables = {}
+    for by in ("overlap", "change"):
+        if any(_bins(score, by) for score in scores):
+            tables[f"{by}_bins"] = bin_table(scores, by)
+    if any(score.overlap.all is not None for score in scores):
+        tables["overlap"] = overlap_table(scores)
+    if any(score.calibration.all is not None for score in scores):
+        tables["calibration"] = calibration_table(scores)
+    if len(scores) == 1:
+        tables["paper"] = pairwise_table(scores)
+        if scores[0].calibration.all is not None:
+            tables["reliability"] = reliability_table(scores[0].calibration.all)
+    return tables
+
+
+def _named(graphs: Iterable[GraphScore], way: str) -> list[tuple[str, Subsets]]:
+    found = [(graph.name, getattr(graph, way)) for graph in graphs]
+    return [(name, subsets) for name, subsets in found if subsets is not None]
+
+
+def _edge_table(title: str, graphs: Sequence[tuple[str, Subsets]], caption: str = "") -> Table:
+    several = len(graphs) > 1
+    rows: list[Row] = []
+    for name, subsets in graphs:
+        for kind, label in KIND_NAMES.items():
+            edge = getattr(subsets, kind)
+            rows.append(
+                (
+                    *([name] if several else []), label, edge.edges, edge.answered, edge.recall,
+                    edge.recall_challenge, edge.rte, edge.rre, edge.rte_answered,
+                    edge.rre_answered, edge.rmse,
+                )
+            )  # fmt: skip
+    return Table(
+        title,
+        (
+            *([Column("graph", align=Align.LEFT)] if several else []),
+            Column("stages", align=Align.LEFT),
+            Column("edges", form=","),
+            Column("answered", form=","),
+            Column("recall 0.2 m", "%", ".1f"),
+            Column("recall 0.1 m", "%", ".1f"),
+            Column("RTE", "m", ".3f"),
+            Column("RRE", "deg", ".2f"),
+            Column("RTE of all", "m", ".3f"),
+            Column("RRE of all", "deg", ".2f"),
+            Column("RMSE", "m", ".3f"),
+        ),
+        tuple(rows),
+        caption,
+    )
+
+
+def _map_table(maps: Sequence[tuple[str, MapScore]], heading: str = "graph") -> Table:
+    return Table(
+        "Map",
+        (
+            Column(heading, align=Align.LEFT),
+            Column("nodes", form=","),
+            Column("placed", form=","),
+            Column("components", form=","),
+            Column("outlier F1", "%", ".1f"),
+            Column("global RMSE", "m", ".3f"),
+            Column("coverage", "%", ".1f"),
+            Column("official global RMSE", "m", ".3f"),
+        ),
+        tuple(
+            (
+                name, each.fragments, each.placed, each.components, each.outlier_f1,
+                each.global_rmse, each.coverage, each.official_global_rmse,
+            )
+            for name, each in maps
+        ),
+        "Global RMSE: over the points of placed fragments, which the coverage counts; official: as "
+        "the challenge has it.",
+    )  # fmt: skip
 
 
 def _challenge_table(title: str, subsets: Mapping[str, ChallengeMetrics]) -> Table:
-    table = _table(title)
-    table.add_column("official metric")
-    for subset in SUBSETS:
-        table.add_column(subset, justify="right")
+    rows: list[Row] = []
     for attribute, (name, unit) in OFFICIAL_NAMES.items():
         values = [getattr(subsets[subset], attribute) for subset in SUBSETS]
         if None not in values:
-            table.add_row(f"{name} \\[{unit}]", *(_number(value, 3) for value in values))
-    return table
-
-
-def _table(title: str) -> Table:
+            rows.append((f"{name} [{unit}]", *values))
     return Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 0, 0, 1),
+        title,
+        (
+            Column("official metric", align=Align.LEFT),
+            *(Column(subset, form=".3f") for subset in SUBSETS),
+        ),
+        tuple(rows),
     )
 
 
-def _number(value: float, digits: int) -> str:
-    if isfinite(value):
-        return f"{value:.{digits}f}"
-    return "inf" if value == float("inf") else "-"
+def _bins(score: LogScore, by: str) -> tuple[BinScore, ...]:
+    return score.overlap_bins if by == "overlap" else score.change_bins
+
+
+def span(low: float, high: float) -> str:
+    """A bin as people read it."""
+    return f"{low:g}-{high:g}"
+
+
+def _published() -> tuple[PublishedRecall, ...]:
+    return published().pairwise
+
+
+def _starred() -> str:
+    return f"* Published, on other data: the NSS data set; {published().source}."

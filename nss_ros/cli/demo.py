@@ -29,4 +29,4 @@ def demo(
     console.print(f"[bold]nss map {_BAG} -o {log}[/bold]", soft_wrap=True)
     map_([_BAG], log)
     console.print(f"\n[bold]nss score {log}[/bold]", soft_wrap=True)
-    score(log)
+    score([log])

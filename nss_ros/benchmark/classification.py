@@ -1,0 +1,151 @@
+"""Does a method know which fragments overlap? From the overlap probabilities that it reports.
+
+The NSS paper counts a pair as overlapping from an overlap ratio of theta = 0.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.metrics import average_precision_score, precision_recall_curve, roc_auc_score
+
+from nss_ros.benchmark.metrics import Floats, f1_score
+
+MIN_OVERLAP = 0.1
+"""Overlap ratio from which fragments overlap (theta)."""
+MIN_PROBABILITY = 0.5
+"""Probability from which a pair is called overlapping, for accuracy, precision, recall, F1."""
+_CURVE_POINTS = 200
+
+NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Classification:
+    """Overlap probabilities against the truth.
+
+    Attributes:
+        pairs: pairs with a probability whose truth is known.
+        overlapping: of these, pairs that overlap.
+        accuracy: share that is called right, 0..1.
+        precision: share of those called overlapping that overlap, 0..1; NaN of none.
+        recall: share of those that overlap that are called overlapping, 0..1; NaN of none.
+        f1: harmonic mean of precision and recall, 0..1.
+        average_precision: of the class "overlapping", 0..1: sum over thresholds of
+            (recall_k - recall_(k-1)) precision_k; NaN unless there are both classes.
+        mean_average_precision: mean over the two classes, "not overlapping" judged by
+            1 - probability. The text of the paper's definition of its mAP was not available when
+            this was written.
+        auroc: area under the ROC curve, 0..1; NaN unless there are both classes.
+        curve: the precision-recall curve, (threshold, precision, recall) from the lowest
+            threshold, at most about 200 points.
+    """
+
+    pairs: int
+    overlapping: int
+    accuracy: float
+    precision: float
+    recall: float
+    f1: float
+    average_precision: float
+    mean_average_precision: float
+    auroc: float
+    curve: tuple[tuple[float, float, float], ...]
+
+
+def classify(overlaps: NDArray[np.bool_], probability: Floats) -> Classification | None:
+    """Score overlap probabilities; None of none.
+
+    Args:
+        overlaps: (n,) the truth.
+        probability: (n,); NaN, meaning that the method gave none, is left out.
+    """
+    known = np.isfinite(probability)
+    if not known.any():
+        return None
+    overlaps, probability = overlaps[known], probability[known]
+    called = probability >= MIN_PROBABILITY
+    hits = np.count_nonzero(overlaps & called)
+    both = bool(overlaps.any() and not overlaps.all())
+    positive = float(average_precision_score(overlaps, probability)) if both else NAN
+    negative = float(average_precision_score(~overlaps, 1 - probability)) if both else NAN
+    return Classification(
+        pairs=len(overlaps),
+        overlapping=int(overlaps.sum()),
+        accuracy=float((overlaps == called).mean()),
+        precision=hits / int(called.sum()) if called.any() else NAN,
+        recall=hits / int(overlaps.sum()) if overlaps.any() else NAN,
+        f1=f1_score(overlaps, called) / 100,
+        average_precision=positive,
+        mean_average_precision=(positive + negative) / 2,
+        auroc=float(roc_auc_score(overlaps, probability)) if both else NAN,
+        curve=_curve(overlaps, probability) if both else (),
+    )
+
+
+def weighted_auroc(positive: NDArray[np.bool_], score: Floats, weights: Floats) -> Floats:
+    """Area under the ROC curve of weighted samples, (k,); NaN without weight on both classes.
+
+    The trapezoidal rule over all thresholds, so ties count one half. For one sample it is
+    scikit-learn's `roc_auc_score`; this takes a thousand resamplings at once.
+
+    Args:
+        positive: (n,) the truth.
+        score: (n,) finite.
+        weights: (k, n), one sample a row.
+    """
+    hits, alarms = _cumulated(positive, score, weights)
+    area = (np.diff(alarms, axis=1) * (hits[:, 1:] + hits[:, :-1]) / 2).sum(axis=1)
+    return _ratio(area, hits[:, -1] * alarms[:, -1])
+
+
+def weighted_average_precision(
+    positive: NDArray[np.bool_], score: Floats, weights: Floats
+) -> Floats:
+    """Average precision of weighted samples, (k,); NaN without weight on both classes.
+
+    For one sample it is scikit-learn's `average_precision_score`.
+
+    Args:
+        positive: (n,) the truth.
+        score: (n,) finite.
+        weights: (k, n), one sample a row.
+    """
+    hits, alarms = _cumulated(positive, score, weights)
+    called = hits[:, 1:] + alarms[:, 1:]
+    precision = np.divide(hits[:, 1:], called, out=np.zeros_like(called), where=called > 0)
+    area = (np.diff(hits, axis=1) * precision).sum(axis=1)
+    both = np.where(alarms[:, -1] > 0, hits[:, -1], 0)
+    return _ratio(area, both)
+
+
+def _cumulated(
+    positive: NDArray[np.bool_], score: Floats, weights: Floats
+) -> tuple[Floats, Floats]:
+    """Weight of true and false positives from nothing called positive to all, (k, thresholds)."""
+    order = np.argsort(-score, kind="stable")
+    last = np.append(np.flatnonzero(np.diff(score[order])), len(score) - 1)
+    result = []
+    for label in (positive, ~positive):
+        totals = np.cumsum((weights * label)[:, order], axis=1)[:, last]
+        result.append(np.column_stack((np.zeros(len(weights)), totals)))
+    return result[0], result[1]
+
+
+def _ratio(numerator: Floats, denominator: Floats) -> Floats:
+    return np.asarray(
+        np.divide(numerator, denominator, out=np.full(len(numerator), NAN), where=denominator > 0)
+    )
+
+
+def _curve(
+    overlaps: NDArray[np.bool_], probability: Floats
+) -> tuple[tuple[float, float, float], ...]:
+    precision, recall, thresholds = precision_recall_curve(overlaps, probability)
+    chosen = np.unique(
+        np.linspace(0, len(thresholds) - 1, min(len(thresholds), _CURVE_POINTS)).astype(np.intp)
+    )
+    points = np.column_stack((thresholds, precision[:-1], recall[:-1]))[chosen]
+    return tuple((float(t), float(p), float(r)) for t, p, r in points)
