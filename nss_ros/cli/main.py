@@ -9,10 +9,13 @@ from rich.console import Console
 from rich.markup import escape
 
 from nss_ros import __version__
+from nss_ros.cli.compare import compare_logs
 from nss_ros.cli.demo import demo
 from nss_ros.cli.export import export
+from nss_ros.cli.graphs import graphs
 from nss_ros.cli.import_ import import_folder
 from nss_ros.cli.map import map_
+from nss_ros.cli.pairs import pairs
 from nss_ros.cli.score import score
 from nss_ros.cli.settings import config, methods
 from nss_ros.cli.simulate import simulate
@@ -30,9 +33,12 @@ app = typer.Typer(
 app.command("demo")(demo)
 app.command("map")(map_)
 app.command("score")(score)
+app.command("compare")(compare_logs)
 app.command("import")(import_folder)
 app.command("export")(export)
 app.command("simulate")(simulate)
+app.command("pairs")(pairs)
+app.command("graphs")(graphs)
 app.command("methods")(methods)
 app.command("config")(config)
 

@@ -50,6 +50,9 @@ class Manifest(Section):
     labels: bool = Field(True, description="Points carry `element` and `change`")
     areas: dict[str, AreaRecord] = Field({}, description="By name, in the order they are made")
     versions: dict[str, str] = Field({}, description="Of what made it")
+    steps: dict[str, dict[str, Any]] = Field(
+        {}, description="Seed and settings of what was added: pairs, graphs"
+    )
 
     def fragment_count(self) -> int:
         """Number of fragments of the complete stages."""

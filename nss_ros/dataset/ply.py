@@ -70,6 +70,20 @@ def read_columns(path: Path) -> dict[str, NDArray[Any]]:
     return _ascii_vertices(body, skipped, vertex, path)
 
 
+def count_vertices(path: Path) -> int:
+    """How many vertices a PLY file's header says it has.
+
+    Raises:
+        FormatError: the file cannot be read or is not PLY.
+    """
+    try:
+        with path.open("rb") as stream:
+            _, elements = _read_header(stream, path)
+    except OSError as error:
+        raise FormatError(f"Cannot read point cloud {path}: {error.strerror}.") from error
+    return _vertex_element(elements, path)[1].count
+
+
 def write_ply(path: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     """Write vertices as binary little-endian PLY, one property per column of equal length.
 
