@@ -85,53 +85,58 @@ def classify(overlaps: NDArray[np.bool_], probability: Floats) -> Classification
     )
 
 
-def weighted_auroc(positive: NDArray[np.bool_], score: Floats, weights: Floats) -> Floats:
-    """Area under the ROC curve of weighted samples, (k,); NaN without weight on both classes.
+Counts = tuple[Floats, Floats]
+"""Weight of true and of false positives, each (k, thresholds + 1), from nothing called positive
+to everything."""
 
-    The trapezoidal rule over all thresholds, so ties count one half. For one sample it is
-    scikit-learn's `roc_auc_score`; this takes a thousand resamplings at once.
+
+def threshold_counts(positive: NDArray[np.bool_], score: Floats, weights: Floats) -> Counts:
+    """True and false positives of weighted samples at every threshold, highest first.
+
+    With `auroc` and `average_precision` this does for a thousand resamplings at once what
+    scikit-learn's functions do for one sample.
 
     Args:
         positive: (n,) the truth.
         score: (n,) finite.
         weights: (k, n), one sample a row.
     """
-    hits, alarms = _cumulated(positive, score, weights)
-    area = (np.diff(alarms, axis=1) * (hits[:, 1:] + hits[:, :-1]) / 2).sum(axis=1)
+    order = np.argsort(-score, kind="stable")
+    last = np.append(np.flatnonzero(np.diff(score[order])), len(score) - 1)
+    drawn = weights[:, order]
+    everything = np.cumsum(drawn, axis=1)[:, last]
+    drawn *= positive[order]
+    hits = np.cumsum(drawn, axis=1)[:, last]
+    nothing = np.zeros((len(weights), 1))
+    return np.hstack((nothing, hits)), np.hstack((nothing, everything - hits))
+
+
+def swapped(counts: Counts) -> Counts:
+    """The counts with positive and negative, and the order of the scores, the other way round."""
+    hits, alarms = counts
+    return alarms[:, -1:] - alarms[:, ::-1], hits[:, -1:] - hits[:, ::-1]
+
+
+def auroc(counts: Counts) -> Floats:
+    """Area under the ROC curve, (k,); NaN without weight on both classes.
+
+    The trapezoidal rule over all thresholds, so ties count one half.
+    """
+    hits, alarms = counts
+    area = (np.diff(alarms, axis=1) * (hits[:, 1:] + hits[:, :-1])).sum(axis=1) / 2
     return _ratio(area, hits[:, -1] * alarms[:, -1])
 
 
-def weighted_average_precision(
-    positive: NDArray[np.bool_], score: Floats, weights: Floats
-) -> Floats:
-    """Average precision of weighted samples, (k,); NaN without weight on both classes.
+def average_precision(counts: Counts) -> Floats:
+    """Average precision, (k,); NaN without weight on both classes.
 
-    For one sample it is scikit-learn's `average_precision_score`.
-
-    Args:
-        positive: (n,) the truth.
-        score: (n,) finite.
-        weights: (k, n), one sample a row.
+    The sum over thresholds of (recall_k - recall_(k-1)) precision_k.
     """
-    hits, alarms = _cumulated(positive, score, weights)
+    hits, alarms = counts
     called = hits[:, 1:] + alarms[:, 1:]
     precision = np.divide(hits[:, 1:], called, out=np.zeros_like(called), where=called > 0)
     area = (np.diff(hits, axis=1) * precision).sum(axis=1)
-    both = np.where(alarms[:, -1] > 0, hits[:, -1], 0)
-    return _ratio(area, both)
-
-
-def _cumulated(
-    positive: NDArray[np.bool_], score: Floats, weights: Floats
-) -> tuple[Floats, Floats]:
-    """Weight of true and false positives from nothing called positive to all, (k, thresholds)."""
-    order = np.argsort(-score, kind="stable")
-    last = np.append(np.flatnonzero(np.diff(score[order])), len(score) - 1)
-    result = []
-    for label in (positive, ~positive):
-        totals = np.cumsum((weights * label)[:, order], axis=1)[:, last]
-        result.append(np.column_stack((np.zeros(len(weights)), totals)))
-    return result[0], result[1]
+    return _ratio(area, np.where(alarms[:, -1] > 0, hits[:, -1], 0))
 
 
 def _ratio(numerator: Floats, denominator: Floats) -> Floats:

@@ -105,7 +105,7 @@ def parse_gate(text: str, names: Collection[str]) -> Gate:
         limit /= 100
     if share and abs(limit) > 1:
         raise InputError(
-            f"The gate '{text}' would never change its mind: {name} is a share of 0 to 1, so write "
+            f"The gate '{text}' compares {name}, a share of 0 to 1, with {limit:g}: write "
             f"{limit / 100:g} or {limit:g} %."
         )
     return Gate(text.strip(), name, match["operator"], limit, unit)

@@ -17,7 +17,12 @@ import numpy as np
 
 from nss_ros.benchmark.bootstrap import Bootstrap, interval, resamplings
 from nss_ros.benchmark.calibration import expected_calibration_error
-from nss_ros.benchmark.classification import weighted_auroc, weighted_average_precision
+from nss_ros.benchmark.classification import (
+    auroc,
+    average_precision,
+    swapped,
+    threshold_counts,
+)
 from nss_ros.benchmark.evaluation import (
     Answers,
     Edges,
@@ -70,15 +75,15 @@ class Headline:
 
 
 _EDGE_FIGURES = {
-    "recall": Figure("recall (10 deg, 0.2 m)", "%", True),
-    "recall_challenge": Figure("recall (10 deg, 0.1 m)", "%", True),
-    "rte": Figure("RTE of successes", "m", False),
-    "rre": Figure("RRE of successes", "deg", False),
-    "rte_answered": Figure("RTE of all answers", "m", False),
-    "rre_answered": Figure("RRE of all answers", "deg", False),
-    "rmse": Figure("pairwise RMSE", "m", False),
+    "recall": Figure("recall", "%", True),
+    "recall_challenge": Figure("recall at 0.1 m", "%", True),
+    "rte": Figure("RTE", "m", False),
+    "rre": Figure("RRE", "deg", False),
+    "rte_answered": Figure("RTE of all answered", "m", False),
+    "rre_answered": Figure("RRE of all answered", "deg", False),
+    "rmse": Figure("RMSE", "m", False),
 }
-_KIND_TITLES = {"all": "all", "same_stage": "same stage", "different_stage": "different stage"}
+_KIND_TITLES = {"all": "all", "same_stage": "same", "different_stage": "different"}
 _MAP_FIGURES = {
     "global_rmse": Figure("global RMSE", "m", False),
     "official_global_rmse": Figure("official global RMSE", "m", False),
@@ -86,17 +91,17 @@ _MAP_FIGURES = {
     "outlier_f1": Figure("outlier F1", "%", True),
 }
 _ANSWER_FIGURES = {
-    "overlap_average_precision": Figure("average precision of overlap", "", True),
-    "overlap_mean_average_precision": Figure("mAP of overlap", "", True),
-    "overlap_auroc": Figure("AUROC of overlap", "", True),
-    "confidence_error": Figure("expected calibration error", "", False),
-    "confidence_auroc": Figure("AUROC of confidence", "", True),
+    "overlap_average_precision": Figure("overlap: average precision", "", True),
+    "overlap_mean_average_precision": Figure("overlap: mAP", "", True),
+    "overlap_auroc": Figure("overlap: AUROC", "", True),
+    "confidence_error": Figure("confidence: ECE", "", False),
+    "confidence_auroc": Figure("confidence: AUROC", "", True),
 }
 
 
 def _figures() -> dict[str, Figure]:
     figures = {}
-    for prefix, source in (("", "pairwise"), ("multiway_", "multi-way")):
+    for prefix, source in (("", "pairwise"), ("multiway_", "map")):
         for name, figure in _EDGE_FIGURES.items():
             for kind in KINDS:
                 title = f"{source} {figure.title}, {_KIND_TITLES[kind]}"
@@ -194,7 +199,7 @@ def fragment_numbers(units: Sequence[tuple[FragmentId, ...]]) -> Numbers:
     """The fragments of units, numbered from 0 in the order of appearance, (units, k)."""
     numbers: dict[FragmentId, int] = {}
     flat = [[numbers.setdefault(each, len(numbers)) for each in unit] for unit in units]
-    return np.array(flat, dtype=np.intp).reshape(len(units), -1)
+    return np.array(flat, dtype=np.intp) if flat else np.zeros((0, 1), dtype=np.intp)
 
 
 def _edge_figures(edges: Edges) -> Callable[[Floats], Values]:
@@ -292,16 +297,17 @@ def _answer_figures(answers: Answers) -> Callable[[Floats], Values]:
     def figures(weights: Floats) -> Values:
         values: Values = {}
         if len(judged):
-            chosen = weights[:, judged]
-            positive = weighted_average_precision(overlaps, probability, chosen)
-            negative = weighted_average_precision(~overlaps, 1 - probability, chosen)
+            counts = threshold_counts(overlaps, probability, weights[:, judged])
+            positive = average_precision(counts)
             values["overlap_average_precision"] = positive
-            values["overlap_mean_average_precision"] = (positive + negative) / 2
-            values["overlap_auroc"] = weighted_auroc(overlaps, probability, chosen)
+            values["overlap_mean_average_precision"] = (
+                positive + average_precision(swapped(counts))
+            ) / 2
+            values["overlap_auroc"] = auroc(counts)
         if len(known):
             chosen = weights[:, known]
             values["confidence_error"] = expected_calibration_error(right, confidence, chosen)
-            values["confidence_auroc"] = weighted_auroc(right, confidence, chosen)
+            values["confidence_auroc"] = auroc(threshold_counts(right, confidence, chosen))
         return values
 
     return figures

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nss_ros.benchmark.calibration import Calibration
 from nss_ros.benchmark.challenge import SUBSETS, ChallengeMetrics, ChallengeScore
-from nss_ros.benchmark.headline import FIGURES, KINDS
+from nss_ros.benchmark.headline import KINDS
 from nss_ros.benchmark.published import PublishedRecall, published
 from nss_ros.benchmark.score import BinScore, GraphScore, LogScore, MapScore, Subsets
 from nss_ros.table import Align, Cell, Column, Table
@@ -29,14 +29,6 @@ _ERRORS = (
     "successes at 0.2 m; of all: over all answered edges."
 )
 _SAME_STAGE_TRAINING = "same_stage"
-_INTERVALS = {
-    "recall": "recall, 0.2 m",
-    "recall_challenge": "recall, 0.1 m",
-    "rte": "RTE of successes",
-    "rre": "RRE of successes",
-    "rmse": "RMSE",
-}
-
 Row = tuple[Cell, ...]
 
 
@@ -177,6 +169,7 @@ def multiway_table(scores: Sequence[LogScore]) -> Table:
     """The paper's multi-way table: the relative transforms, then each synchronizer's map."""
     rows: list[Row] = []
     names = run_names(scores)
+    any_split = any(score.split for score in scores)
     shown: set[tuple[str, str, tuple[float, ...]]] = set()
     for score, name in zip(scores, names, strict=True):
         for way, subsets in (
@@ -193,27 +186,27 @@ def multiway_table(scores: Sequence[LogScore]) -> Table:
             map_ = score.overall.map if way != "-" else None
             rows.append(
                 (
-                    score.split or None, name, way, subsets.all.rmse,
+                    *([score.split or None] if any_split else []), name, way, subsets.all.rmse,
                     map_.global_rmse if map_ else None,
+                    *(subsets.all.recall, subsets.all.rte, subsets.all.rre),
+                    *(subsets.same_stage.recall, subsets.different_stage.recall),
                     map_.official_global_rmse if map_ else None,
-                    *(getattr(subsets, kind).recall for kind in KINDS),
-                    subsets.all.rte, subsets.all.rre,
                 )
             )  # fmt: skip
     return Table(
         "Multi-way registration",
         (
-            Column("split", align=Align.LEFT),
+            *([Column("split", align=Align.LEFT)] if any_split else []),
             Column("pairwise", align=Align.LEFT),
             Column("multi-way", align=Align.LEFT),
             Column("RMSE^P", "m", ".3f"),
             Column("RMSE^G", "m", ".3f"),
-            Column("official RMSE^G", "m", ".3f"),
             Column("recall", "%", ".1f"),
-            Column("recall, same", "%", ".1f"),
-            Column("recall, different", "%", ".1f"),
             Column("RTE", "m", ".3f"),
             Column("RRE", "deg", ".2f"),
+            Column("recall, same", "%", ".1f"),
+            Column("recall, different", "%", ".1f"),
+            Column("official RMSE^G", "m", ".3f"),
         ),
         tuple(rows),
         "RMSE^P: mean over answered edges. RMSE^G: over placed fragments; official: all "
@@ -223,8 +216,12 @@ def multiway_table(scores: Sequence[LogScore]) -> Table:
 
 
 def bin_table(scores: Sequence[LogScore], by: str) -> Table:
-    """Recall by overlap ratio (`by` is `overlap`) or temporal change ratio (`change`)."""
+    """Recall by overlap ratio (`by` is `overlap`) or temporal change ratio (`change`).
+
+    Of a single run with a map also the recall of the map's poses.
+    """
     several = len(scores) > 1
+    mapped = not several and scores[0].overall.multiway is not None
     rows: list[Row] = []
     for score, name in zip(scores, run_names(scores), strict=True):
         for each in _bins(score, by):
@@ -232,7 +229,8 @@ def bin_table(scores: Sequence[LogScore], by: str) -> Table:
             cells.append(span(each.low, each.high))
             for kind in KINDS[1:]:
                 cells += [each.edges[kind], each.pairwise[kind]]
-                cells.append(each.multiway[kind] if each.multiway is not None else None)
+                if mapped:
+                    cells.append(each.multiway[kind] if each.multiway is not None else None)
             rows.append(tuple(cells))
     what = "overlap ratio" if by == "overlap" else "temporal change ratio"
     return Table(
@@ -246,7 +244,7 @@ def bin_table(scores: Sequence[LogScore], by: str) -> Table:
                 for column in (
                     Column(f"edges, {KIND_NAMES[kind]}", form=","),
                     Column(f"pairwise, {KIND_NAMES[kind]}", "%", ".1f"),
-                    Column(f"multi-way, {KIND_NAMES[kind]}", "%", ".1f"),
+                    *([Column(f"multi-way, {KIND_NAMES[kind]}", "%", ".1f")] if mapped else []),
                 )
             ),
         ),
@@ -383,32 +381,20 @@ def area_table(score: LogScore) -> Table:
 
 
 def interval_table(score: LogScore) -> Table:
-    """Headline figures with their bootstrap intervals."""
-    rows: list[Row] = []
-    for prefix, way in (("", "pairwise"), ("multiway_", "multi-way")):
-        for name, title in _INTERVALS.items():
-            found = [score.headline.get(f"{prefix}{name}_{kind}") for kind in KINDS]
-            known = [each for each in found if each is not None]
-            if known:
-                ends = [(e.value, e.low, e.high) if e else (None,) * 3 for e in found]
-                cells = [cell for end in ends for cell in end]
-                rows.append((f"{way} {title}", known[0].unit, *cells))
-    for name, each in score.headline.items():
-        if not name.endswith(KINDS):
-            nothing = (None,) * 6
-            rows.append((FIGURES[name].title, each.unit, each.value, each.low, each.high, *nothing))
+    """All headline figures, by the names that gates use, with their bootstrap intervals."""
     return Table(
         "Headline figures with bootstrap intervals",
         (
-            Column("figure", align=Align.LEFT),
+            Column("name", align=Align.LEFT),
             Column("unit", align=Align.LEFT),
-            *(
-                Column(name, form=".3g")
-                for kind in KIND_NAMES.values()
-                for name in (kind, f"low, {kind}", f"high, {kind}")
-            ),
+            Column("value", form=".3g"),
+            Column("low", form=".3g"),
+            Column("high", form=".3g"),
         ),
-        tuple(rows),
+        tuple(
+            (name, each.unit, each.value, each.low, each.high)
+            for name, each in score.headline.items()
+        ),
         "Percentile intervals; those of figures without spread in the sample have no width.",
     )
 

@@ -26,6 +26,8 @@ from nss_ros.cli.table_format import (
     print_tables,
 )
 
+_HIDDEN = ("intervals",)
+
 
 def compare_logs(
     baseline: Annotated[Path, typer.Argument(metavar="BASELINE", help="Log to compare with.")],
@@ -60,7 +62,7 @@ def compare_logs(
         print_json({"comparisons": [_as_json(each) for each in comparisons]})
     else:
         for each in comparisons:
-            print_tables(chosen_tables(comparison_tables(each), table), each.notes, form)
+            print_tables(chosen_tables(comparison_tables(each), table, _HIDDEN), each.notes, form)
     exit_on_failure(gates, {each.log: _values(each) for each in comparisons})
 
 
