@@ -1,68 +1,81 @@
-"""`nss simulate`: a bag of a synthetic construction floor."""
+"""`nss simulate`: a dataset of fragments with ground truth, scanned from models of buildings."""
 
 from __future__ import annotations
 
-import math
 import time
 from pathlib import Path
-from statistics import median
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from nss_ros.bag import write_bag
 from nss_ros.cli.map import ConfigOption, SetOption
 from nss_ros.cli.output import print_json
-from nss_ros.config import load_config
+from nss_ros.cli.pairs import WorkersOption
+from nss_ros.cli.progress import progress_bar
+from nss_ros.config import NssConfig, load_config
+from nss_ros.dataset.annotate import add_pairs
+from nss_ros.dataset.bag_export import export_bag
+from nss_ros.dataset.folder import DatasetFolder
+from nss_ros.dataset.generate import generate
 from nss_ros.errors import BagError
-from nss_ros.multiway.pose_graph import Edge, EdgeKind, PoseGraph
-from nss_ros.simulation.simulator import Scan, bag_metadata, ground_truth_graph, simulate_scans
+from nss_ros.fragment import FragmentId
+from nss_ros.simulation.site_file import areas, built_in_sites, site_file_of
+from nss_ros.table import Align, Column, Table
 
 
 def simulate(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the bag to write.")],
+    sites: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SITE]...",
+            help=f"One of {', '.join(built_in_sites())} (default: one_floor); a site file "
+            "(YAML); IFC files of one building; or one mesh per stage.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Dataset folder; one cut short is completed.")
+    ] = Path("dataset"),
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.")] = None,
     spots_per_stage: Annotated[
-        int | None, typer.Option(min=1, help="Most tripod spots per stage.")
+        int | None,
+        typer.Option(min=0, help="Most tripod spots per stage; 0: until all is seen."),
     ] = None,
-    stages: Annotated[int | None, typer.Option(min=1, max=3, help="Number of stages.")] = None,
+    panoramas: Annotated[
+        bool, typer.Option("--panoramas", help="Write depth panoramas, too.")
+    ] = False,
+    labels: Annotated[
+        bool, typer.Option(help="Write the element and its change under every point.")
+    ] = True,
+    bag: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="BAG", help="Also measure the pairs ('nss pairs') and write a bag to map."
+        ),
+    ] = None,
+    workers: WorkersOption = 0,
     config: ConfigOption = None,
     set_: SetOption = [],  # noqa: B006 - typer reads defaults, nobody changes them
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Build a construction floor in stages, scan it, and write a bag with ground truth.
+    """Scan building models, stage by stage, into a dataset with ground truth.
 
-    The same seed and settings give the same points.
+    The same seed, sites and settings give the same bytes. 'nss pairs', 'nss graphs' and
+    'nss stats' take the dataset from there.
     """
     overrides = list(set_)
     overrides += [f"simulation.seed={seed}"] if seed is not None else []
-    overrides += [f"simulation.site.stages={stages}"] if stages is not None else []
+    overrides += ["simulation.panorama=true"] if panoramas else []
     if spots_per_stage is not None:
         overrides.append(f"simulation.viewpoints.spots_per_stage={spots_per_stage}")
-    settings = load_config(config, overrides).simulation
-    if output.exists():
-        raise BagError(f"{output} exists already: choose another name or remove it.")
+    settings = load_config(config, overrides)
+    if bag is not None and bag.exists():
+        raise BagError(f"{bag} exists already: choose another name or remove it.")
     begin = time.monotonic()
-    with _progress(quiet=json) as progress:
-        total = settings.site.stages * settings.viewpoints.spots_per_stage
-        task = progress.add_task("fragments", total=total)
-        scans = simulate_scans(settings, lambda _: progress.advance(task))
-        scanned = time.monotonic()
-        progress.update(task, total=len(scans))
-        progress.add_task("pairs", total=None)
-        graph = ground_truth_graph(settings, scans)
-    write_bag(
-        output,
-        [scan.fragment for scan in scans],
-        [edge.pair for edge in graph.edges],
-        [graph],
-        bag_metadata(settings),
-    )
-    summary = _summary(output, scans, graph)
-    summary["seconds_fragments"] = scanned - begin
+    dataset = _generate(sites or ["one_floor"], output, settings, labels, workers, quiet=json)
+    summary = _summary(dataset)
+    if bag is not None:
+        summary["bag"] = _bag(bag, dataset, settings, workers, quiet=json)
     summary["seconds"] = time.monotonic() - begin
     if json:
         print_json(summary)
@@ -70,62 +83,101 @@ def simulate(
         _print(summary)
 
 
-def _progress(quiet: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description:<10}"),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        disable=quiet,
-    )
+def _generate(
+    sites: list[str],
+    output: Path,
+    settings: NssConfig,
+    labels: bool,
+    workers: int,
+    quiet: bool,
+) -> DatasetFolder:
+    site_file, folder = site_file_of(sites)
+    with progress_bar(quiet) as progress:
+        reading = progress.add_task("models", total=None, visible=False)
+        scanning = progress.add_task("fragments", total=None)
+
+        def read(name: str, done: int, total: int) -> None:
+            progress.update(reading, description=name, completed=done, total=total, visible=True)
+
+        def scanned(fragment: FragmentId) -> None:
+            progress.update(scanning, description=f"fragments of area {fragment.area}", advance=1)
+
+        return generate(
+            output,
+            areas(site_file, folder, settings.simulation.seed, read),
+            settings.simulation,
+            site_file.model_dump(mode="json", exclude_none=True),
+            labels,
+            workers,
+            scanned,
+        )
 
 
-def _summary(output: Path, scans: list[Scan], graph: PoseGraph) -> dict[str, Any]:
-    kinds = {"same_stage": EdgeKind.SAME_STAGE, "different_stage": EdgeKind.DIFFERENT_STAGE}
-    stages = sorted({scan.fragment.id.stage for scan in scans})
+def _bag(
+    bag: Path, dataset: DatasetFolder, settings: NssConfig, workers: int, quiet: bool
+) -> dict[str, Any]:
+    pairs, seed = settings.dataset.pairs, settings.simulation.seed
+    with progress_bar(quiet) as progress:
+        tasks = {name: progress.add_task(name, total=None) for name in ("fragments", "pairs")}
+
+        def report(name: str, done: int, total: int) -> None:
+            progress.update(tasks[name], completed=done, total=total)
+
+        made = add_pairs(dataset, pairs, settings.dataset.splits, seed, workers, report=report)
+        export_bag(bag, dataset, made.pairs, pairs.min_overlap)
+    chosen = made.pairs.take(made.pairs.overlap_ratio >= pairs.min_overlap)
+    same = int(chosen.same_stage.sum())
     return {
-        "bag": str(output),
-        "bytes": sum(file.stat().st_size for file in output.iterdir()),
-        "fragments": len(scans),
-        "fragments_per_stage": {
-            str(stage): sum(scan.fragment.id.stage == stage for scan in scans) for stage in stages
-        },
-        "points": sum(len(scan.fragment.points) for scan in scans),
-        "pairs": len(graph.edges),
-        **{
-            name: _pair_figures([edge for edge in graph.edges if edge.kind is kind])
-            for name, kind in kinds.items()
-        },
+        "path": str(bag),
+        "bytes": sum(file.stat().st_size for file in bag.iterdir()),
+        "same_stage_pairs": same,
+        "different_stage_pairs": len(chosen) - same,
     }
 
 
-def _pair_figures(edges: list[Edge]) -> dict[str, float]:
-    changes = [e.temporal_change for e in edges if math.isfinite(e.temporal_change)]
+def _summary(dataset: DatasetFolder) -> dict[str, Any]:
     return {
-        "pairs": len(edges),
-        "median_overlap_ratio": median([e.overlap_ratio for e in edges]) if edges else math.nan,
-        "median_temporal_change": median(changes) if changes else math.nan,
+        "dataset": str(dataset.path),
+        "fragments": dataset.manifest.fragment_count(),
+        "areas": {
+            name: {
+                "stages": [
+                    {"name": stage.name, "fragments": stage.fragments} for stage in area.stages
+                ],
+                "skipped": area.source.get("skipped", []),
+            }
+            for name, area in dataset.manifest.areas.items()
+        },
     }
 
 
 def _print(summary: dict[str, Any]) -> None:
-    table = Table("pairs", "count", "median overlap ratio", "median temporal change")
-    for name in ("same_stage", "different_stage"):
-        figures = summary[name]
-        table.add_row(
-            name.replace("_", "-"),
-            str(figures["pairs"]),
-            f"{figures['median_overlap_ratio']:.2f}",
-            f"{figures['median_temporal_change']:.2f}",
-        )
     console = Console()
-    console.print(table)
-    per_stage = ", ".join(
-        f"stage {stage}: {count}" for stage, count in summary["fragments_per_stage"].items()
+    rows = tuple(
+        (name, number, stage["name"], stage["fragments"])
+        for name, area in summary["areas"].items()
+        for number, stage in enumerate(area["stages"], start=1)
     )
+    columns = (
+        Column("area", align=Align.LEFT),
+        Column("stage"),
+        Column("name", align=Align.LEFT),
+        Column("fragments"),
+    )
+    console.print(Table("Fragments", columns, rows).to_rich())
+    for area in summary["areas"].values():
+        for sentence in area["skipped"]:
+            console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
+    if bag := summary.get("bag"):
+        console.print(
+            f"Bag: {bag['path']} ({bag['bytes'] / 1e6:.1f} MB, {bag['same_stage_pairs']} "
+            f"same-stage and {bag['different_stage_pairs']} different-stage pairs)",
+            soft_wrap=True,
+            highlight=False,
+        )
     console.print(
-        f"{summary['fragments']} fragments ({per_stage}), {summary['points']:,} points, "
-        f"{summary['bytes'] / 1e6:.1f} MB, {summary['seconds']:.0f} s.\nBag: {summary['bag']}",
-        highlight=False,
+        f"{summary['fragments']} fragments in {summary['seconds']:.0f} s. "
+        f"Dataset: {summary['dataset']}",
         soft_wrap=True,
+        highlight=False,
     )

@@ -7,7 +7,6 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from nss_ros.config.section import Fraction, Positive, Section, in_order
-from nss_ros.config.site import SiteConfig
 
 
 class ViewpointConfig(Section):
@@ -93,18 +92,12 @@ class RigConfig(Section):
 
 
 class SimulationConfig(Section):
-    """A simulated site and its scans."""
+    """How sites are scanned."""
 
-    seed: int = Field(0, ge=0, description="Same seed and settings, same points")
-    area: str = Field("1", pattern=r"^[A-Za-z0-9.-]+$", description="Area of the fragment ids")
+    seed: int = Field(0, ge=0, description="Same seed, sites and settings: the same bytes")
     voxel_size: Positive = Field(
         0.075, description="Voxel size of the fragments, as in the NSS release, metres"
     )
-    overlap_distance: Positive = Field(
-        0.2, description="Distance at which points count as overlapping (tau), metres"
-    )
-    min_overlap: Fraction = Field(0.1, description="Least overlap ratio of a pair")
-    site: SiteConfig = SiteConfig()
     viewpoints: ViewpointConfig = ViewpointConfig()
     rig: RigConfig = RigConfig()
     panorama: bool = Field(False, description="Make a depth panorama of every fragment, too")

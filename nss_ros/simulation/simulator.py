@@ -3,34 +3,27 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nss_ros import __version__
 from nss_ros.config import SimulationConfig
-from nss_ros.dataset.overlap import Cloud, all_overlaps
 from nss_ros.errors import InputError
 from nss_ros.fragment import (
     Fragment,
     FragmentId,
-    FragmentPair,
     Points,
     occupied_voxels,
     voxel_means,
 )
-from nss_ros.geometry import Transform, relative
-from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGraph
+from nss_ros.geometry import Transform
 from nss_ros.parallel import run
 from nss_ros.simulation.occupancy import door_triangles, occupancy_map
 from nss_ros.simulation.panorama import FULL_SCALE, panorama
-from nss_ros.simulation.procedural.floor import build_floor
 from nss_ros.simulation.rig import Returns, draw_pose, scan
 from nss_ros.simulation.scene import Scene
 from nss_ros.simulation.site import Rectangle, Site, StageMesh
@@ -224,66 +217,3 @@ def _scene(stage: _Stage) -> Scene:
         _SCENES.clear()
         _SCENES[stage.key] = Scene(stage.mesh.mesh, stage.mesh.materials)
     return _SCENES[stage.key]
-
-
-def simulate_scans(
-    config: SimulationConfig, report: Callable[[FragmentId], None] | None = None
-) -> list[Scan]:
-    """All fragments of the procedural floor of the settings, in canonical order.
-
-    Args:
-        config: everything.
-        report: called after each fragment.
-
-    Raises:
-        InputError: a stage has no free floor to stand on.
-    """
-    scans = []
-    for taken in simulate_site(
-        build_floor(config.area, config.site, config.seed), config, config.seed
-    ):
-        scans.append(taken)
-        if report:
-            report(taken.fragment.id)
-    return scans
-
-
-def ground_truth_graph(config: SimulationConfig, scans: list[Scan]) -> PoseGraph:
-    """True poses, and an edge for every pair that overlaps enough; source before target."""
-    clouds = [Cloud(taken.fragment.points) for taken in scans]
-    poses = [taken.T_map_fragment for taken in scans]
-    edges = []
-    for (i, j), figures in all_overlaps(clouds, poses, config.overlap_distance).items():
-        if figures.overlap_ratio < config.min_overlap:
-            continue
-        pair = FragmentPair(scans[i].fragment.id, scans[j].fragment.id)
-        edges.append(
-            Edge(
-                pair,
-                relative(poses[i], poses[j]),
-                EdgeKind.SAME_STAGE if pair.same_stage else EdgeKind.DIFFERENT_STAGE,
-                overlap_ratio=figures.overlap_ratio,
-                temporal_change=figures.temporal_change,
-            )
-        )
-    nodes = tuple(
-        Node(taken.fragment.id, taken.T_map_fragment, NodeStatus.PLACED) for taken in scans
-    )
-    return PoseGraph(nodes, tuple(edges), name=f"Bldg{config.area}_Graph1")
-
-
-def bag_metadata(config: SimulationConfig) -> dict[str, str]:
-    """How the bag was made: generator, its version, and every setting under its dotted name."""
-    metadata = {"generator": "nss simulate", "generator_version": __version__}
-    metadata.update(_flat("simulation", config.model_dump()))
-    return metadata
-
-
-def _flat(name: str, value: Any) -> dict[str, str]:
-    if not isinstance(value, dict):
-        return {name: value if isinstance(value, str) else json.dumps(value)}
-    return {
-        key: text
-        for part, item in value.items()
-        for key, text in _flat(f"{name}.{part}", item).items()
-    }

@@ -1,0 +1,386 @@
+"""Sites from building models: a storey of one or several IFC files, staged by a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import date
+from fnmatch import fnmatch
+from functools import cache
+from glob import glob
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nss_ros.errors import InputError
+from nss_ros.simulation.element import Element, Material
+from nss_ros.simulation.ifc_plan import (
+    IfcArea,
+    IfcFacts,
+    default_plan,
+    parse_date,
+    read_schedule,
+    states_of,
+)
+from nss_ros.simulation.ifc_state import Shape, shapes
+from nss_ros.simulation.ifc_tessellation import (
+    Tessellation,
+    file_hash,
+    import_ifcopenshell,
+    is_cut_short,
+    open_ifc,
+    tessellate,
+)
+from nss_ros.simulation.mesh import Mesh, box
+from nss_ros.simulation.site import Rectangle, Site
+
+Report = Callable[[str, int, int], None]
+
+# What has a shape but is no matter: rooms, holes, grids, texts. IfcSite is the terrain.
+_IMMATERIAL = (
+    *("IfcSpatialElement", "IfcSpatialStructureElement", "IfcFeatureElement", "IfcGrid"),
+    *("IfcAnnotation", "IfcVirtualElement", "IfcPort", "IfcStructuralItem"),
+    *("IfcStructuralActivity", "IfcPositioningElement"),
+)
+_NO_BODY = ("Axis", "FootPrint", "Plan", "Annotation", "Box", "Profile", "Reference", "CoG")
+_METAL_CLASSES = ("IfcFlowSegment", "IfcFlowFitting", "IfcReinforcingElement")
+_METAL_WORDS = ("steel", "staal", "stahl", "acier", "hea", "heb", "ipe", "unp", "shs")
+_GLASS_WORDS = ("glass", "glas", "glazing", "verre", "beglazing")
+_TRANSPARENT = 0.4
+_STOREY_HEIGHT = 3.5
+_EDGE = 0.3
+_FLOOR_SEARCH = 0.5
+_LEVEL = 0.9
+_GROUND_SHARE = 0.2
+_GROUND_THICKNESS = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """An element with its geometry, model coordinates."""
+
+    facts: IfcFacts
+    mesh: Mesh
+    transparent: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class _Storey:
+    name: str
+    elevation: float
+    elements: int
+
+
+def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None = None) -> Site:
+    """The site of an area given as a storey of a building model.
+
+    Elements of all files are taken whose geometry reaches into the height of the storey, whatever
+    storey they are assigned to; coordinates are shifted to the storey's corner and floor. What
+    cannot be tessellated is left out and listed in the site's source as `skipped`.
+
+    Args:
+        name: of the area.
+        area: files, storey and plan.
+        folder: that relative paths are relative to.
+        report: progress of tessellation: file, percent, 100.
+
+    Raises:
+        InputError: a file or the storey is missing, or nothing is there at some stage.
+        FormatError: a file is not valid.
+    """
+    paths = _files(name, area.files, folder)
+    storeys: list[_Storey] = []
+    parts: list[_Part] = []
+    skipped: list[str] = []
+    for path in paths:
+        model = open_ifc(path)
+        if is_cut_short(path):
+            skipped.append(f"{path.name} is cut short: what follows is missing.")
+        storeys += _storeys(model)
+        entities = _entities(model)
+        made = tessellate(path, model, entities, Path(area.cache) if area.cache else None, report)
+        parts += _parts(path, entities, made)
+        skipped += _missing(path, entities, made)
+    schedule = read_schedule(folder / area.schedule) if area.schedule else {}
+    floor, ceiling, storey = _heights(name, area, storeys)
+    parts = [part for part in parts if _reaches(part.mesh, floor, ceiling, area.margin)]
+    if not parts:
+        raise InputError(
+            f"Area {name} has no element between the heights {floor:g} and {ceiling:g} m: give "
+            f"another storey ({_names(storeys)}), or floor and ceiling."
+        )
+    floor = _floor(parts, floor)
+    corner = np.floor(np.min([part.mesh.vertices.min(axis=0) for part in parts], axis=0))
+    origin = np.array([corner[0], corner[1], floor])
+    elements = _elements(parts, area, schedule, origin)
+    _check_stages(name, elements, len(default_plan(area)[0]))
+    extent = _extent(elements)
+    stages, _ = default_plan(area)
+    if area.ground and _floor_share(elements, extent) < _GROUND_SHARE:
+        elements = (*elements, _ground(extent, len(stages)))
+    return Site(
+        name,
+        len(stages),
+        elements,
+        extent,
+        0.0,
+        tuple(stage.name for stage in stages),
+        {
+            "ifc": area.model_dump(mode="json"),
+            "sha256": {path.name: file_hash(path) for path in paths},
+            "storey": storey,
+            "origin": origin.tolist(),
+            "skipped": skipped,
+        },
+    )
+
+
+def _files(name: str, patterns: Sequence[str], folder: Path) -> list[Path]:
+    paths: list[Path] = []
+    for pattern in patterns:
+        found = sorted(glob(str(folder / pattern)))  # noqa: PTH207 - the pattern may be absolute
+        if not found:
+            raise InputError(f"Area {name}: there is no IFC file {folder / pattern}.")
+        paths += [Path(each) for each in found if Path(each) not in paths]
+    return paths
+
+
+def _storeys(model: Any) -> list[_Storey]:
+    from ifcopenshell.util.placement import get_local_placement
+    from ifcopenshell.util.unit import calculate_unit_scale
+
+    scale = calculate_unit_scale(model)
+    return [
+        _Storey(
+            str(storey.Name or ""),
+            float(get_local_placement(storey.ObjectPlacement)[2, 3] * scale),
+            sum(len(relation.RelatedElements) for relation in storey.ContainsElements or ()),
+        )
+        for storey in model.by_type("IfcBuildingStorey")
+    ]
+
+
+def _entities(model: Any) -> list[Any]:
+    """Everything material with a shape, in the order of the file."""
+    return sorted(
+        (
+            product
+            for product in model.by_type("IfcProduct")
+            if _has_body(product) and not any(_is_a(product, name) for name in _IMMATERIAL)
+        ),
+        key=lambda product: int(product.id()),
+    )
+
+
+def _has_body(product: Any) -> bool:
+    """Whether a product has a shape of its own: of assemblies, only the parts do."""
+    shape = product.Representation
+    return shape is not None and any(
+        each.RepresentationIdentifier not in _NO_BODY for each in shape.Representations
+    )
+
+
+def _is_a(product: Any, name: str) -> bool:
+    try:
+        return bool(product.is_a(name))
+    except RuntimeError:  # a class that this schema does not have
+        return False
+
+
+def _parts(path: Path, entities: Sequence[Any], made: Tessellation) -> Iterator[_Part]:
+    meshes = made.meshes()
+    see_through = np.array(
+        [
+            style.transparency > _TRANSPARENT or _has_word(style.name, _GLASS_WORDS)
+            for style in made.style_table
+        ]
+        + [False],
+        dtype=bool,
+    )
+    for entity in entities:
+        if entity.id() in meshes:
+            mesh, styles = meshes[entity.id()]
+            yield _Part(_facts(path, entity), mesh, see_through[styles])
+
+
+def _facts(path: Path, entity: Any) -> IfcFacts:
+    from ifcopenshell.util.element import get_container, get_psets
+
+    container = get_container(entity)
+    sets = get_psets(entity)
+    return IfcFacts(
+        file=path.name,
+        classes=_classes(entity.is_a(), entity.file.schema_identifier),
+        name=str(entity.Name or ""),
+        global_id=str(entity.GlobalId),
+        storey=str(container.Name or "") if container is not None else "",
+        properties={
+            f"{set_name}.{key}": str(value)
+            for set_name, values in sets.items()
+            for key, value in values.items()
+        },
+        finish=_finish(entity),
+    )
+
+
+@cache
+def _classes(name: str, schema: str) -> tuple[str, ...]:
+    """An IFC class and those above it."""
+    declaration = import_ifcopenshell().schema_by_name(schema).declaration_by_name(name).as_entity()
+    classes = []
+    while declaration is not None:
+        classes.append(str(declaration.name()))
+        declaration = declaration.supertype()
+    return tuple(classes)
+
+
+def _finish(entity: Any) -> date | None:
+    """When the last of the tasks that an element is assigned to is finished."""
+    days = []
+    for relation in entity.HasAssignments or ():
+        if relation.is_a("IfcRelAssignsToProcess"):
+            time = getattr(relation.RelatingProcess, "TaskTime", None)
+            if time is not None:
+                days.append(parse_date(time.ActualFinish or time.ScheduleFinish))
+    return max((day for day in days if day is not None), default=None)
+
+
+def _missing(path: Path, entities: Sequence[Any], made: Tessellation) -> list[str]:
+    there = set(made.ids.tolist())
+    return [
+        f"{path.name}: {entity.is_a()} {entity.GlobalId} '{entity.Name or ''}' has no valid "
+        "geometry and is left out."
+        for entity in entities
+        if entity.id() not in there
+    ]
+
+
+def _heights(name: str, area: IfcArea, storeys: Sequence[_Storey]) -> tuple[float, float, str]:
+    """Floor and ceiling of the area in the model, and the name of its storey."""
+    if area.floor is not None:
+        return area.floor, area.ceiling or area.floor + _STOREY_HEIGHT, area.storey
+    matching = [storey for storey in storeys if fnmatch(storey.name, area.storey or "*")]
+    if not matching:
+        raise InputError(
+            f"Area {name}: the model has no storey '{area.storey}', but {_names(storeys)}: name "
+            "one of them, or give 'floor' and 'ceiling'."
+        )
+    chosen = max(matching, key=lambda storey: (storey.elements, -storey.elevation))
+    above = [s.elevation for s in storeys if s.elevation > chosen.elevation + 2.0]
+    next_floor = min(above, default=chosen.elevation + _STOREY_HEIGHT)
+    return chosen.elevation, area.ceiling or next_floor, chosen.name
+
+
+def _names(storeys: Sequence[_Storey]) -> str:
+    names = dict.fromkeys(f"'{s.name}' at {s.elevation:g} m" for s in storeys)
+    return ", ".join(names) or "no storeys"
+
+
+def _reaches(mesh: Mesh, floor: float, ceiling: float, margin: float) -> bool:
+    heights = mesh.vertices[:, 2]
+    return bool(heights.max() > floor - margin and heights.min() < ceiling + margin)
+
+
+def _floor(parts: Sequence[_Part], elevation: float) -> float:
+    """Height of the largest level surface that faces up near a storey's elevation."""
+    heights, sizes = _level_surfaces([part.mesh for part in parts])
+    near = np.abs(heights - elevation) < _FLOOR_SEARCH
+    if not near.any():
+        return elevation
+    levels, index = np.unique(np.round(heights[near], 2), return_inverse=True)
+    return float(levels[np.argmax(np.bincount(index, sizes[near]))])
+
+
+def _level_surfaces(
+    meshes: Sequence[Mesh],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Height and area of every triangle that faces up."""
+    corners = np.concatenate([mesh.vertices[mesh.triangles] for mesh in meshes])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sizes = np.linalg.norm(normals, axis=1) / 2
+    up = normals[:, 2] > 2 * sizes * _LEVEL
+    return corners[up, :, 2].mean(axis=1), sizes[up]
+
+
+def _elements(
+    parts: Sequence[_Part], area: IfcArea, schedule: dict[str, date], origin: NDArray[np.float64]
+) -> tuple[Element, ...]:
+    stages, rules = default_plan(area)
+    elements: list[Element] = []
+    for part in parts:
+        facts = part.facts
+        if facts.global_id in schedule:
+            facts = _with_finish(facts, schedule[facts.global_id])
+        mesh = Mesh(part.mesh.vertices - origin, part.mesh.triangles)
+        states = states_of(facts, stages, rules)
+        for shape in shapes(mesh, states, 0.0, area.stud_spacing):
+            elements += _elements_of(part, shape)
+    return tuple(elements)
+
+
+def _with_finish(facts: IfcFacts, finish: date) -> IfcFacts:
+    return IfcFacts(
+        facts.file, facts.classes, facts.name, facts.global_id, facts.storey, facts.properties,
+        finish,
+    )  # fmt: skip
+
+
+def _elements_of(part: _Part, shape: Shape) -> Iterator[Element]:
+    """A shape as an element; of the element itself, glass apart from the rest."""
+    kind, name = part.facts.classes[0], part.facts.name
+    if shape.label:
+        yield Element(kind, shape.stages, shape.mesh, shape.material, f"{name}, {shape.label}")
+        return
+    for glass in (False, True):
+        chosen = part.transparent == glass
+        if chosen.any():
+            mesh = Mesh(shape.mesh.vertices, np.ascontiguousarray(shape.mesh.triangles[chosen]))
+            material = Material.GLASS if glass else _material(part.facts)
+            yield Element(kind, shape.stages, mesh, material, name)
+
+
+def _material(facts: IfcFacts) -> Material:
+    if any(name in facts.classes for name in ("IfcPlate", "IfcWindow")) and _has_word(
+        facts.name, _GLASS_WORDS
+    ):
+        return Material.GLASS
+    metal = any(name in facts.classes for name in _METAL_CLASSES)
+    return Material.METAL if metal or _has_word(facts.name, _METAL_WORDS) else Material.MATT
+
+
+def _has_word(text: str, words: tuple[str, ...]) -> bool:
+    """Whether a text has a word that begins with one of some words."""
+    return any(
+        token.startswith(words)
+        for token in "".join(c if c.isalpha() else " " for c in text.lower()).split()
+    )
+
+
+def _check_stages(name: str, elements: Sequence[Element], stages: int) -> None:
+    for stage in range(1, stages + 1):
+        if not any(stage in element.stages for element in elements):
+            raise InputError(
+                f"Area {name} has no element at stage {stage}: no rule of the plan gives any."
+            )
+
+
+def _extent(elements: Sequence[Element]) -> Rectangle:
+    low = np.min([element.mesh.vertices.min(axis=0) for element in elements], axis=0)
+    high = np.max([element.mesh.vertices.max(axis=0) for element in elements], axis=0)
+    return Rectangle(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+
+
+def _floor_share(elements: Sequence[Element], extent: Rectangle) -> float:
+    """Area of level surfaces near height 0 at stage 1, against the extent."""
+    heights, sizes = _level_surfaces([e.mesh for e in elements if 1 in e.stages])
+    return float(sizes[np.abs(heights) < _EDGE].sum() / max(extent.area, 1e-9))
+
+
+def _ground(extent: Rectangle, stages: int) -> Element:
+    slab = box(
+        (extent.x0 - _EDGE, extent.y0 - _EDGE, -_GROUND_THICKNESS),
+        (extent.x1 + _EDGE, extent.y1 + _EDGE, 0.0),
+    )
+    return Element("ground", frozenset(range(1, stages + 1)), slab, name="added floor")
