@@ -1,8 +1,22 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 
 from nss_ros.geometry import from_yaw
-from nss_ros.simulation.mesh import Opening, box, cylinder, merge, mound, moved, wall
+from nss_ros.simulation.mesh import (
+    Opening,
+    box,
+    boxes,
+    cylinder,
+    cylinders,
+    merge,
+    mound,
+    moved,
+    slab,
+    wall,
+)
 
 
 def volume(mesh):
@@ -50,3 +64,34 @@ def test_merged_meshes_keep_their_triangles():
     )
     assert volume(merge([first, second])) == pytest.approx(3.0)
     assert len(merge([]).triangles) == 0
+
+
+@given(hnp.arrays(float, (5, 2, 3), elements=st.floats(-10, 10, allow_subnormal=False)))
+def test_many_boxes_are_the_same_as_one_by_one(corners):
+    lower, upper = corners.min(axis=1), corners.max(axis=1)
+    solid = (lower < upper).all(axis=1)
+    together = boxes(lower, upper)
+    apart = merge([box(a, b) for a, b in zip(lower[solid], upper[solid], strict=True)])
+    assert np.array_equal(together.vertices, apart.vertices)
+    assert np.array_equal(together.triangles, apart.triangles)
+
+
+def test_many_cylinders_are_the_same_as_one_by_one():
+    starts, ends, radii = [(0, 0, 0), (1, 2, 0)], [(0, 0, 2), (4, 2, 1)], [0.1, 0.3]
+    together = cylinders(starts, ends, radii, sides=8)
+    each = [cylinder(a, b, r, 8) for a, b, r in zip(starts, ends, radii, strict=True)]
+    apart = merge(each)
+    assert np.allclose(together.vertices, apart.vertices)
+    assert np.array_equal(together.triangles, apart.triangles)
+
+
+def test_holes_take_their_volume_from_a_slab_as_far_as_they_lie_in_it():
+    mesh = slab((0, 0, -0.3), (10, 6, 0), [(1, 1, 3, 4), (9, 5, 12, 8)])
+    assert volume(mesh) == pytest.approx(0.3 * (60 - 6 - 1))
+
+
+def test_boards_that_end_above_a_door_leave_nothing_in_it():
+    mesh = wall(2.0, (0.0, 0.01), (0.1, 3.0), [Opening(0.5, 1.5, 0.0, 2.1)])
+    inside = (mesh.vertices[:, 0] > 0.5) & (mesh.vertices[:, 0] < 1.5)
+    assert (mesh.vertices[inside, 2] >= 2.1).all()
+    assert volume(mesh) == pytest.approx(0.1 * (2 * 2.99 - 1 * 2.09))

@@ -18,7 +18,7 @@ from nss_ros.simulation.procedural.programme import (
 _TILE = 0.6
 _INSET = 0.08
 _BAR = 0.024
-_RAISED = 0.15
+RAISED_HEIGHT = 0.15
 _WITHOUT_CEILING = {RoomKind.LIVING, RoomKind.BEDROOM, RoomKind.LOBBY, RoomKind.SERVICE}
 _SHARE_RAISED = 0.25  # of the open-plan rooms of offices
 
@@ -46,22 +46,28 @@ def build_ceilings(
     return elements
 
 
-def build_raised_floors(
+def draw_raised_floors(
     rooms: list[Room], programme: Programme, rng: np.random.Generator
-) -> list[Element]:
-    """Raised floors in a few open-plan rooms, late in the works.
+) -> dict[str, frozenset[int]]:
+    """A few open-plan rooms with raised floors, late in the works: stages by name of the room.
 
     No tripod stands on them: spots are found on the bare slab.
     """
-    elements = []
-    for room in rooms:
-        if room.kind is not RoomKind.OPEN or rng.random() > _SHARE_RAISED:
-            continue
-        stages = programme.during(room.zone, RAISED_FLOORS)
-        if stages:
-            name = f"{room.name}, raised floor"
-            elements.append(Element("raised_floor", stages, _panels(room, rng), name=name))
-    return elements
+    chosen = [r for r in rooms if r.kind is RoomKind.OPEN and rng.random() < _SHARE_RAISED]
+    return {room.name: programme.during(room.zone, RAISED_FLOORS) for room in chosen}
+
+
+def build_raised_floors(
+    rooms: list[Room], raised: dict[str, frozenset[int]], rng: np.random.Generator
+) -> list[Element]:
+    """The raised floors that were drawn, plan coordinates."""
+    return [
+        Element(
+            "raised_floor", raised[room.name], _panels(room, rng), name=f"{room.name}, raised floor"
+        )
+        for room in rooms
+        if raised.get(room.name)
+    ]
 
 
 def _lines(low: float, high: float) -> np.ndarray:
@@ -96,8 +102,8 @@ def _panels(room: Room, rng: np.random.Generator) -> Mesh:
     """Panels with narrow joints; a few are still off, at the edge from where one works."""
     area = room.area
     xs, ys = _lines(area.x0 + 0.1, area.x1 - 0.1), _lines(area.y0 + 0.1, area.y1 - 0.1)
-    low = np.stack(np.meshgrid(xs[:-1], ys[:-1], [_RAISED - 0.035], indexing="ij"), -1)
-    high = np.stack(np.meshgrid(xs[1:], ys[1:], [_RAISED], indexing="ij"), -1)
+    low = np.stack(np.meshgrid(xs[:-1], ys[:-1], [RAISED_HEIGHT - 0.035], indexing="ij"), -1)
+    high = np.stack(np.meshgrid(xs[1:], ys[1:], [RAISED_HEIGHT], indexing="ij"), -1)
     kept = rng.random(low.shape[:2]) < 0.98
     joint = np.array([0.002, 0.002, 0.0])
     lower, upper = low[kept] + joint, high[kept] - joint

@@ -15,6 +15,7 @@ from nss_ros.config import SiteConfig
 from nss_ros.geometry import from_yaw
 from nss_ros.simulation.element import Element, stages_from
 from nss_ros.simulation.mesh import Mesh, moved
+from nss_ros.simulation.procedural.ceilings import RAISED_HEIGHT
 from nss_ros.simulation.procedural.furniture import furnish
 from nss_ros.simulation.procedural.layout import Layout, Room, RoomKind
 from nss_ros.simulation.procedural.plan import COLUMN_WIDTH, Plan
@@ -51,6 +52,7 @@ class _Standing:
 def build_contents(
     plan: Plan,
     layout: Layout,
+    raised: dict[str, frozenset[int]],
     programme: Programme,
     config: SiteConfig,
     rng: np.random.Generator,
@@ -60,6 +62,7 @@ def build_contents(
     Args:
         plan: of the structure.
         layout: rooms, and walls whose doors are kept free.
+        raised: stages at which a room's floor is raised, by its name.
         programme: of the works.
         config: how much clutter, and how far furniture stands out of place.
         rng: of everything.
@@ -71,35 +74,12 @@ def build_contents(
     doors, columns = _doors(layout, plan), _columns(plan)
     elements = []
     for room in layout.rooms:
-        furniture, standing = _furnished(plan, room, programme, config, furniture_rng)
-        elements += furniture
+        keep_free = _near(doors, room.area), _near(columns, room.area)
+        floor = _Floor(plan, room, raised.get(room.name, frozenset()), *keep_free, [])
+        elements += _furnished(floor, programme, config, furniture_rng)
         if not programme.former and config.clutter > 0:
-            keep_free = _near(doors, room.area), _near(columns, room.area)
-            floor = _Floor(plan, room, *keep_free, standing)
             elements += _cluttered(floor, programme, config.clutter, clutter_rng)
     return elements
-
-
-def _furnished(
-    plan: Plan,
-    room: Room,
-    programme: Programme,
-    config: SiteConfig,
-    rng: np.random.Generator,
-) -> tuple[list[Element], list[_Standing]]:
-    elements: list[Element] = []
-    standing: list[_Standing] = []
-    stages = programme.during(room.zone, FURNITURE + float(rng.normal(0.0, 0.25)))
-    pieces = furnish(room, config.deviation, rng)
-    if not stages:
-        return elements, standing
-    for index, piece in enumerate(pieces, start=1):
-        pose = plan.grid.frame(piece.x, piece.y) @ from_yaw(piece.yaw, (0.0, 0.0, 0.0))
-        name = f"{piece.kind} {index}, {room.name}"
-        elements.append(Element(piece.kind, stages, moved(piece.mesh, pose), name=name))
-        disc = _Disc(piece.x, piece.y, _radius(piece.mesh))
-        standing.append(_Standing(disc, stages))
-    return elements, standing
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +89,7 @@ class _Floor:
     Attributes:
         plan: of the structure.
         room: whose floor it is.
+        raised: stages at which it is raised.
         doors: (n, 2) nearby doors, plan coordinates.
         columns: (n, 2) nearby columns.
         standing: what stands there at which stages; grows.
@@ -116,6 +97,7 @@ class _Floor:
 
     plan: Plan
     room: Room
+    raised: frozenset[int]
     doors: NDArray[np.float64]
     columns: NDArray[np.float64]
     standing: list[_Standing]
@@ -123,6 +105,33 @@ class _Floor:
     def taken(self, stages: frozenset[int]) -> list[_Disc]:
         """What stands there at some of these stages."""
         return [item.disc for item in self.standing if item.stages & stages]
+
+
+def _furnished(
+    floor: _Floor, programme: Programme, config: SiteConfig, rng: np.random.Generator
+) -> list[Element]:
+    room = floor.room
+    stages = programme.during(room.zone, FURNITURE + float(rng.normal(0.0, 0.25)))
+    pieces = furnish(room, config.deviation, rng)
+    if not stages:
+        return []
+    elements = []
+    for index, piece in enumerate(pieces, start=1):
+        pose = floor.plan.grid.frame(piece.x, piece.y) @ from_yaw(piece.yaw, (0.0, 0.0, 0.0))
+        mesh = _on_floor(moved(piece.mesh, pose), floor, stages)
+        elements.append(
+            Element(piece.kind, stages, mesh, name=f"{piece.kind} {index}, {room.name}")
+        )
+        disc = _Disc(piece.x, piece.y, _radius(piece.mesh))
+        floor.standing.append(_Standing(disc, stages))
+    return elements
+
+
+def _on_floor(mesh: Mesh, floor: _Floor, stages: frozenset[int]) -> Mesh:
+    """A thing as it stands, on the raised floor where there is one all the while."""
+    if not stages <= floor.raised:
+        return mesh
+    return Mesh(mesh.vertices + np.array([0.0, 0.0, RAISED_HEIGHT]), mesh.triangles)
 
 
 def _cluttered(
@@ -139,10 +148,12 @@ def _cluttered(
             thing = _draw(phase, rng)
             stays = stage < programme.stages and rng.random() < _STAYS
             stages = stages_from(stage, stage + 1 if stays else stage)
+            if stays and (stage in floor.raised) != (stage + 1 in floor.raised):
+                stages = stages_from(stage, stage)
             spot = _place(thing, floor, floor.taken(stages), rng)
             if spot is None:
                 continue
-            mesh, disc = spot
+            mesh, disc = _on_floor(spot[0], floor, stages), spot[1]
             floor.standing.append(_Standing(disc, stages))
             name = f"{thing.kind.replace('_', ' ')} {len(floor.standing)}, {room.name}"
             elements.append(Element(thing.kind, stages, mesh, thing.material, name))

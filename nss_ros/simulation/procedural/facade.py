@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ _GLASS = 0.012
 _PIER = 0.75
 _NET_TOP = 1.15
 _SCAFFOLD_GAP = 0.35
-_ALWAYS = -9.0
+_ALWAYS = -math.inf
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,12 +9,16 @@ import numpy as np
 
 from nss_ros.config import SiteConfig
 from nss_ros.simulation.element import Element
-from nss_ros.simulation.procedural.ceilings import build_ceilings, build_raised_floors
+from nss_ros.simulation.procedural.ceilings import (
+    build_ceilings,
+    build_raised_floors,
+    draw_raised_floors,
+)
 from nss_ros.simulation.procedural.clutter import build_contents
 from nss_ros.simulation.procedural.facade import build_facade
 from nss_ros.simulation.procedural.layout import draw_layout
 from nss_ros.simulation.procedural.partitions import build_partitions
-from nss_ros.simulation.procedural.plan import SLAB_OVERHANG, Plan, draw_plan
+from nss_ros.simulation.procedural.plan import Plan, draw_plan
 from nss_ros.simulation.procedural.programme import Programme, draw_programme, stage_names
 from nss_ros.simulation.procedural.services import build_services
 from nss_ros.simulation.procedural.structure import build_structure
@@ -42,7 +46,7 @@ def build_floor(area: str, config: SiteConfig, seed: int) -> Site:
     plan = draw_plan(config, streams[0])
     programme = draw_programme(config, plan.zone_order(), streams[1])
     elements = [
-        *build_structure(plan, programme, config.deviation, streams[2]),
+        *build_structure(plan, programme, config.renovation, config.deviation, streams[2]),
         *build_facade(plan, programme, config.renovation, streams[3]),
     ]
     elements = [replace(element, mesh=plan.grid.built(element.mesh)) for element in elements]
@@ -53,7 +57,7 @@ def build_floor(area: str, config: SiteConfig, seed: int) -> Site:
         area,
         config.stages,
         tuple(elements),
-        _extent(plan),
+        _extent(elements),
         stage_names=stage_names(config),
         source={"procedural": config.model_dump(mode="json"), "seed": seed},
     )
@@ -64,18 +68,20 @@ def _fitted_out(
 ) -> list[Element]:
     """All that a layout brings, map frame."""
     layout = draw_layout(plan, config, streams[0])
-    rngs = streams[1].spawn(5)
+    rngs = streams[1].spawn(6)
+    raised = draw_raised_floors(layout.rooms, programme, rngs[3])
     built = [
         *build_partitions(layout.walls, plan.height, programme, config.deviation, rngs[0]),
         *build_services(plan, layout.rooms, programme, rngs[1]),
         *build_ceilings(plan, layout.rooms, programme, rngs[2]),
-        *build_raised_floors(layout.rooms, programme, rngs[3]),
+        *build_raised_floors(layout.rooms, raised, rngs[4]),
     ]
     elements = [replace(element, mesh=plan.grid.built(element.mesh)) for element in built]
-    return elements + build_contents(plan, layout, programme, config, rngs[4])
+    return elements + build_contents(plan, layout, raised, programme, config, rngs[5])
 
 
-def _extent(plan: Plan) -> Rectangle:
-    corners = np.concatenate((plan.grid.near, plan.grid.far))
-    low, high = corners.min(axis=0) - SLAB_OVERHANG, corners.max(axis=0) + SLAB_OVERHANG
+def _extent(elements: list[Element]) -> Rectangle:
+    slabs = [element.mesh.vertices for element in elements if element.kind == "floor_slab"]
+    corners = np.concatenate(slabs)
+    low, high = corners.min(axis=0), corners.max(axis=0)
     return Rectangle(float(low[0]), float(low[1]), float(high[0]), float(high[1]))

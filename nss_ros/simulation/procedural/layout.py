@@ -10,14 +10,13 @@ import numpy as np
 from nss_ros.config import SiteConfig
 from nss_ros.geometry import Transform, from_yaw
 from nss_ros.simulation.mesh import Opening
-from nss_ros.simulation.procedural.plan import DOOR_HEIGHT, MIDDLE, Band, Plan
+from nss_ros.simulation.procedural.plan import DOOR_HEIGHT, LEAST_ROOM, MIDDLE, Band, Plan
 from nss_ros.simulation.site import Rectangle
 
 _SIDES = ("south", "middle", "north")
 _CELL_WIDTH = 3.4
 _WET_DEPTH = 2.3  # of hall and bathroom in flats and wards, metres
 _BATH_WIDTH = 1.9
-_LEAST_ROOM = 1.5
 
 
 class Construction(Enum):
@@ -163,7 +162,7 @@ class _Drawing:
         if sum(band.side == MIDDLE for band in self._plan.bands) != 1:
             return
         end = self._plan.corridors[1][0]
-        if end - core.y1 < _LEAST_ROOM:
+        if end - core.y1 < LEAST_ROOM:
             return
         band = Band(core.y1, end, end, MIDDLE)
         self._rows(band, [(core.x0, core.x1)], "service")

@@ -16,10 +16,12 @@ SLAB_OVERHANG = FACADE_THICKNESS + 0.1
 COLUMN_WIDTH = 0.4
 CORE_WALL = 0.25
 DOOR_HEIGHT = 2.15
+LEAST_ROOM = 1.8  # depth of a room behind a core, metres
 
 _TWO_CORRIDORS_FROM = 18.0  # depth of the floor, metres
 _LONGEST_SPAN = 8.5  # between column rows, metres
 _AREA_PER_CORE = 900.0
+_CORE_DEPTH = 6.5
 _BAYS_PER_ZONE = 3
 SOUTH, MIDDLE, NORTH = 0, 1, 2
 
@@ -187,7 +189,9 @@ def _cores(
     middle = [band for band in bands if band.side == MIDDLE]
     band = middle[0] if middle else bands[-1]
     # The only band between two corridors leaves room behind its cores.
-    depth = min(band.y1 - band.y0, 6.5) if len(middle) == 1 else band.y1 - band.y0
+    depth = band.y1 - band.y0
+    if len(middle) == 1 and depth > _CORE_DEPTH + LEAST_ROOM:
+        depth = _CORE_DEPTH
     return tuple(_core(grid, bay, band, depth) for bay in picked)
 
 

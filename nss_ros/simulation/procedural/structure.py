@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from nss_ros.geometry import from_yaw
@@ -22,16 +24,22 @@ _SLAB_THICKNESS = 0.28
 _RISER, _TREAD = 0.175, 0.28
 _LANDING = 1.25
 _PROP_SPACING = 1.4
+_ALWAYS = -math.inf
 
 
 def build_structure(
-    plan: Plan, programme: Programme, deviation: float, rng: np.random.Generator
+    plan: Plan,
+    programme: Programme,
+    standing: bool,
+    deviation: float,
+    rng: np.random.Generator,
 ) -> list[Element]:
     """All concrete, at every stage, and the props below the slab above at the first.
 
     Args:
         plan: of the structure; meshes are in its coordinates.
         programme: of the works.
+        standing: the building is in use at first, as in a renovation.
         deviation: factor of the deviations from plan.
         rng: of the deviations.
     """
@@ -42,8 +50,9 @@ def build_structure(
         elements.append(Element("column", always, mesh, name=name))
     elements += [Element("beam", always, mesh, name=name) for mesh, name in _beams(plan)]
     for index, core in enumerate(plan.cores, start=1):
-        elements += _core(plan, core, programme, f"core {index}")
-    elements += _props(plan, programme, rng)
+        elements += _core(plan, core, programme, standing, f"core {index}")
+    if not standing:
+        elements += _props(plan, programme, rng)
     return [element for element in elements if element.stages]
 
 
@@ -125,7 +134,7 @@ def _beams(plan: Plan) -> list[tuple[Mesh, str]]:
     return beams
 
 
-def _core(plan: Plan, core: Core, programme: Programme, name: str) -> list[Element]:
+def _core(plan: Plan, core: Core, programme: Programme, standing: bool, name: str) -> list[Element]:
     always = programme.always
     zone = plan.zone(core.area.x0 + 0.1, 1)
     walls = [
@@ -134,20 +143,23 @@ def _core(plan: Plan, core: Core, programme: Programme, name: str) -> list[Eleme
     ]
     stairs = Element("stairs", always, _stairs(plan, core), name=f"{name}, stairs")
     guards, doors = _lift_guard(core), _lift_doors(core)
+    doors_in, rails_in = (_ALWAYS, _ALWAYS) if standing else (DOORS, STUDS)
     return [
         *walls,
         stairs,
-        Element("guard", programme.during(zone, -9.0, DOORS), guards, name=f"{name}, lift guard"),
+        Element(
+            "guard", programme.during(zone, _ALWAYS, doors_in), guards, name=f"{name}, lift guard"
+        ),
         Element(
             "lift_door",
-            programme.during(zone, DOORS),
+            programme.during(zone, doors_in),
             doors,
             Material.METAL,
             f"{name}, lift doors",
         ),
         Element(
             "handrail",
-            programme.during(zone, STUDS),
+            programme.during(zone, rails_in),
             _handrail(core),
             Material.METAL,
             f"{name}, handrail",
@@ -243,7 +255,9 @@ def _props(plan: Plan, programme: Programme, rng: np.random.Generator) -> list[E
     """Shoring below a slab that was just poured, bay by bay, until it bears itself."""
     elements = []
     for bay in range(plan.grid.bays):
-        stages = programme.during(plan.zone(float(plan.grid.stations[bay]) + 0.1, 1), -9, PROPS_OUT)
+        stages = programme.during(
+            plan.zone(float(plan.grid.stations[bay]) + 0.1, 1), _ALWAYS, PROPS_OUT
+        )
         if bay in plan.grid.corners or not stages:
             continue
         x0, x1 = plan.grid.stations[bay], plan.grid.stations[bay + 1]
