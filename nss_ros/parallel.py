@@ -37,7 +37,7 @@ def run(
     workers: int = 0,
     engine: Engine = Engine.LOCAL,
 ) -> Iterator[Result]:
-    """Results of a function for all items, in their order, as they come.
+    """Results of a function for all items, in their order, as they come (with Ray: at the end).
 
     Each call has one thread of the linear algebra libraries, in this process too, so that the
     results are the same bytes for any number of workers.
@@ -59,7 +59,9 @@ def run(
         return
     with _backend(engine):
         count = workers or (-1 if engine is Engine.RAY else os.cpu_count() or 1)
-        calls = Parallel(n_jobs=count, return_as="generator", pre_dispatch="4*n_jobs")
+        # joblib's Ray backend gives its results all at once, at the end.
+        how = "generator" if engine is Engine.LOCAL else "list"
+        calls = Parallel(n_jobs=count, return_as=how, pre_dispatch="4*n_jobs")
         yield from calls(delayed(call)(item) for item in items)
 
 

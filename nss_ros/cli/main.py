@@ -16,9 +16,11 @@ from nss_ros.cli.graphs import graphs
 from nss_ros.cli.import_ import import_folder
 from nss_ros.cli.map import map_
 from nss_ros.cli.pairs import pairs
+from nss_ros.cli.picture import picture
 from nss_ros.cli.score import score
 from nss_ros.cli.settings import config, methods
 from nss_ros.cli.simulate import simulate
+from nss_ros.cli.stats import stats
 from nss_ros.errors import NssError
 
 app = typer.Typer(
@@ -39,6 +41,8 @@ app.command("export")(export)
 app.command("simulate")(simulate)
 app.command("pairs")(pairs)
 app.command("graphs")(graphs)
+app.command("stats")(stats)
+app.command("picture")(picture)
 app.command("methods")(methods)
 app.command("config")(config)
 

@@ -31,7 +31,7 @@ def export_bag(path: Path, dataset: DatasetFolder, pairs: PairTable, min_overlap
         FormatError: a fragment cannot be read.
     """
     chosen = pairs.take(pairs.overlap_ratio >= min_overlap)
-    graphs = [_ground_truth(dataset, area, chosen) for area in dataset.areas()]
+    graphs = [ground_truth_graph(dataset, area, chosen) for area in dataset.areas()]
     write_bag(path, _fragments(dataset), chosen.pairs, graphs, _metadata(dataset))
 
 
@@ -39,7 +39,7 @@ def _fragments(dataset: DatasetFolder) -> Iterator[Fragment]:
     return (dataset.fragment(id_) for id_ in dataset.fragment_ids())
 
 
-def _ground_truth(dataset: DatasetFolder, area: str, pairs: PairTable) -> PoseGraph:
+def ground_truth_graph(dataset: DatasetFolder, area: str, pairs: PairTable) -> PoseGraph:
     """True poses of an area's fragments, and an edge for each of its pairs."""
     poses = {id_: pose for id_, pose in dataset.poses().items() if id_.area == area}
     rows = pairs.take(np.array([id_.area == area for id_ in pairs.source], dtype=bool))
