@@ -91,7 +91,7 @@ def _service_room(width: float, depth: float, rng: np.random.Generator) -> list[
 
 def _living_room(width: float, depth: float, rng: np.random.Generator) -> list[_Piece]:
     return [
-        ("kitchen", _kitchen(), 0.38, depth / 2, _BACK_LEFT),
+        ("kitchen", _kitchen(), 0.38, depth / 2 + 0.4, _BACK_LEFT),
         ("table", _dining(rng), width * 0.6, depth - 1.4, 0.0),
         ("sofa", _sofa(), width - 0.55, 1.5, _BACK_RIGHT),
     ]

@@ -16,7 +16,10 @@ from nss_ros.simulation.site import Rectangle
 _SIDES = ("south", "middle", "north")
 _CELL_WIDTH = 3.4
 _WET_DEPTH = 2.3  # of hall and bathroom in flats and wards, metres
-_BATH_WIDTH = 1.9
+_BATH_WIDTH = 1.6
+_DOOR_WIDTH = 0.95
+_DOOR_INSET = 0.4  # from the nearer end of the wall, metres
+_CROSS_CORRIDOR = 1.9
 
 
 class Construction(Enum):
@@ -55,6 +58,8 @@ class Wall:
         zone: in whose programme it is built.
         doors: openings along it.
         construction: what it is made of.
+        swing: to which side its doors open, 1 to the left of the way from start to end, -1 to
+            the right.
     """
 
     name: str
@@ -63,6 +68,7 @@ class Wall:
     zone: int
     doors: tuple[Opening, ...] = ()
     construction: Construction = Construction.STUD
+    swing: int = 1
 
     @property
     def length(self) -> float:
@@ -149,13 +155,30 @@ class _Drawing:
             (float(stations[bay]), float(stations[bay + 1])) for bay in range(first, last + 1)
         ]
         free = [m for m in modules if not any(c.x0 < m[1] and c.x1 > m[0] for c in cores)]
+        # Beside all cores, so that the passages of two bands back to back meet.
+        clear = [m for m in free if not any(c.area.x0 == m[0] for c in self._plan.cores)]
+        if band.side == MIDDLE and clear:
+            free[free.index(clear[0])] = self._cross_corridor(band, *clear[0])
         self._rows(band, free)
         for x in (modules[0][0], modules[-1][1]):
             if 0 < x < self._plan.grid.length and not any(x in (c.x0, c.x1) for c in cores):
                 self._cross_wall(x, band.y0, band.y1, self._plan.zone(x, band.side), band.side)
         if band.side == MIDDLE and band.y0 > 0 and self._back_to_back(band):
             for x0, x1 in free:
+                # Not across the passage, which lies where the modules of both bands begin.
                 self._wall((x0, band.y0), (x1, band.y0), self._plan.zone(x0, MIDDLE), MIDDLE)
+
+    def _cross_corridor(self, band: Band, x0: float, x1: float) -> tuple[float, float]:
+        """A passage from corridor to corridor; what is left of the module."""
+        edge = x0 + _CROSS_CORRIDOR
+        zone = self._plan.zone(edge, MIDDLE)
+        area = Rectangle(x0, band.y0, edge, band.y1)
+        name = f"cross corridor {len(self.layout.rooms) + 1}"
+        self.layout.rooms.append(Room(name, RoomKind.LOBBY, area, zone, band.corridor_y))
+        if x0 > 0 and not any(core.area.x1 == x0 for core in self._plan.cores):
+            self._cross_wall(x0, band.y0, band.y1, zone, MIDDLE)
+        self._cross_wall(edge, band.y0, band.y1, zone, MIDDLE)
+        return edge, x1
 
     def behind(self, core: Rectangle) -> None:
         """A service room between a core and the other corridor of a deep floor."""
@@ -251,14 +274,14 @@ class _Drawing:
 
     def _ward(self, band: Band, x0: float, x1: float, zone: int, mirrored: bool) -> None:
         """A bathroom in the corner at the corridor, the beds beyond it."""
-        self._front(band, x0, x1, zone, mirrored)
+        self._front(band, x0, x1, zone, mirrored, fixed=True)
         inner = self._inward(band, _WET_DEPTH)
         bath_x = x1 - _BATH_WIDTH if not mirrored else x0 + _BATH_WIDTH
         low, high = sorted((band.corridor_y, inner))
         bath = (bath_x, x1) if not mirrored else (x0, bath_x)
         hall = (x0, bath_x) if not mirrored else (bath_x, x1)
         self._wall((bath[0], inner), (bath[1], inner), zone, band.side)
-        self._cross_wall(bath_x, low, high, zone, band.side, door=True)
+        self._cross_wall(bath_x, low, high, zone, band.side, swing=1 if mirrored else -1)
         self._part(RoomKind.BATH, band, Rectangle(bath[0], low, bath[1], high), zone, mirrored)
         self._part(RoomKind.HALL, band, Rectangle(hall[0], low, hall[1], high), zone, mirrored)
         low, high = sorted((inner, self._outer(band)))
@@ -268,17 +291,20 @@ class _Drawing:
         """Hall and bathroom at the corridor, bedroom and living room at the facade."""
         grid = self._plan.grid
         mirrored = bool(int(grid.bay_at((x0 + x1) / 2)) % 2)
-        self._front(band, x0, x1, zone, mirrored, self._block)
+        self._front(band, x0, x1, zone, mirrored, self._block, fixed=True)
         inner = self._inward(band, _WET_DEPTH)
         width = x1 - x0
-        bath_x = x1 - 0.33 * width if not mirrored else x0 + 0.33 * width
-        split = x0 + width * (0.42 if mirrored else 0.58)
+        bath_x = x1 - 0.25 * width if not mirrored else x0 + 0.25 * width
+        split = x0 + width * (0.48 if mirrored else 0.52)
         low, high = sorted((band.corridor_y, inner))
         bath = (bath_x, x1) if not mirrored else (x0, bath_x)
         hall = (x0, bath_x) if not mirrored else (bath_x, x1)
-        self._cross_wall(bath_x, low, high, zone, band.side, door=True)
-        self._wall((x0, inner), (split, inner), zone, band.side, self._door(split - x0))
-        self._wall((split, inner), (x1, inner), zone, band.side, self._door(x1 - split))
+        self._cross_wall(bath_x, low, high, zone, band.side, swing=1 if mirrored else -1)
+        # The bedroom's door beside the living room, where the hall still is.
+        stretch = self._stretch((x0 + x1) / 2, inner)
+        for a, b, at_end in ((x0, split, mirrored), (split, x1, mirrored)):
+            doors = self._door(b - a, at_end, fixed=True, stretch=stretch)
+            self._wall((a, inner), (b, inner), zone, band.side, doors, swing=_into(band))
         self._part(RoomKind.BATH, band, Rectangle(bath[0], low, bath[1], high), zone, mirrored)
         self._part(RoomKind.HALL, band, Rectangle(hall[0], low, hall[1], high), zone, mirrored)
         low, high = sorted((inner, self._outer(band)))
@@ -302,30 +328,49 @@ class _Drawing:
         zone: int,
         mirrored: bool,
         construction: Construction | None = None,
+        fixed: bool = False,
     ) -> None:
         """The wall at the corridor with the door of the room."""
-        doors = self._door(x1 - x0, mirrored)
         y = band.corridor_y
-        self._wall((x0, y), (x1, y), zone, band.side, doors, construction or Construction.STUD)
+        doors = self._door(x1 - x0, mirrored, fixed, self._stretch((x0 + x1) / 2, y))
+        made = construction or Construction.STUD
+        self._wall((x0, y), (x1, y), zone, band.side, doors, made, _into(band))
 
-    def _door(self, length: float, at_end: bool = False) -> tuple[Opening, ...]:
-        width = 0.95
-        room = length - width - 0.35
-        if room < 0.35:
+    def _door(
+        self, length: float, at_end: bool = False, fixed: bool = False, stretch: float = 1.0
+    ) -> tuple[Opening, ...]:
+        """A door near one end of a wall; anywhere along it in floors of little repetition.
+
+        Args:
+            length: of the wall in plan coordinates, metres.
+            at_end: near which end.
+            fixed: it must be there.
+            stretch: plan length per true metre, as doors are of one width.
+        """
+        width = _DOOR_WIDTH * stretch
+        last = length - width - _DOOR_INSET
+        if last < _DOOR_INSET:
             return ()
-        offset = 0.55 if room > 0.6 else 0.35
-        if self._rng.random() > self._config.repetition:
-            offset = float(self._rng.uniform(0.35, room))
+        offset = _DOOR_INSET
+        if not fixed and self._rng.random() > self._config.repetition:
+            offset = float(self._rng.uniform(_DOOR_INSET, last))
         start = length - offset - width if at_end else offset
         return (Opening(start, start + width, 0.0, DOOR_HEIGHT),)
 
+    def _stretch(self, x: float, y: float) -> float:
+        """Plan length per true metre at some place of a curved wing."""
+        grid = self._plan.grid
+        bay = int(grid.bay_at(x))
+        return float(np.diff(grid.stations)[bay]) / grid.length_at(bay, y)
+
     def _cross_wall(
-        self, x: float, y0: float, y1: float, zone: int, side: int, door: bool = False
+        self, x: float, y0: float, y1: float, zone: int, side: int, swing: int = 0
     ) -> None:
+        """A wall across a band, with a door if it is told to which side that opens."""
         party = self._config.use == "residential" and y1 - y0 > 2 * _WET_DEPTH
         construction = Construction.BLOCK if party else Construction.STUD
-        doors = self._door(y1 - y0) if door else ()
-        self._wall((x, y0), (x, y1), zone, side, doors, construction)
+        doors = self._door(y1 - y0) if swing else ()
+        self._wall((x, y0), (x, y1), zone, side, doors, construction, swing)
 
     def _wall(
         self,
@@ -335,9 +380,10 @@ class _Drawing:
         side: int,
         doors: tuple[Opening, ...] = (),
         construction: Construction = Construction.STUD,
+        swing: int = 1,
     ) -> None:
         name = f"{construction.value} wall {len(self.layout.walls) + 1} {_SIDES[side]}"
-        self.layout.walls.append(Wall(name, start, end, zone, doors, construction))
+        self.layout.walls.append(Wall(name, start, end, zone, doors, construction, swing))
 
     def _room(
         self, kind: RoomKind, band: Band, x0: float, x1: float, zone: int, mirrored: bool
@@ -348,3 +394,8 @@ class _Drawing:
         nearest = min((area.y0, area.y1), key=lambda y: abs(y - band.corridor_y))
         name = f"{kind.value} {len(self.layout.rooms) + 1} {_SIDES[band.side]}"
         self.layout.rooms.append(Room(name, kind, area, zone, nearest, mirrored))
+
+
+def _into(band: Band) -> int:
+    """How doors in walls along a band swing into its rooms."""
+    return 1 if band.corridor_y == band.y0 else -1

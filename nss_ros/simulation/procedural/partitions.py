@@ -194,7 +194,7 @@ def _doors(item: Wall, rng: np.random.Generator) -> list[_Part]:
     parts = []
     for number, door in enumerate(item.doors, start=1):
         parts.append(_Part("door_frame", f"door frame {number}", DOOR_FRAMES, _frame(door, depth)))
-        parts.append(_Part("door", f"door {number}", DOORS, _leaf(door, rng)))
+        parts.append(_Part("door", f"door {number}", DOORS, _leaf(item, door, rng)))
     return parts
 
 
@@ -205,12 +205,12 @@ def _frame(door: Opening, depth: float) -> Mesh:
     return boxes([*lower, head[0]], [*upper, head[1]])
 
 
-def _leaf(door: Opening, rng: np.random.Generator) -> Mesh:
-    """A leaf hung on one jamb and left open at some angle, as doors on a site are."""
+def _leaf(item: Wall, door: Opening, rng: np.random.Generator) -> Mesh:
+    """A leaf hung on the jamb next to the corner, left open at some angle."""
     width = door.end - door.start - 0.1
     leaf = boxes((0.0, -0.02, 0.01), (width, 0.02, door.top - 0.05))
-    angle = rng.uniform(np.radians(65), np.radians(105)) * rng.choice([-1, 1])
+    angle = item.swing * rng.uniform(np.radians(70), np.radians(100))
     hinge, turn = door.start + 0.05, angle
-    if rng.random() < 0.5:
+    if door.start > item.length - door.end:
         hinge, turn = door.end - 0.05, np.pi - angle
     return moved(leaf, from_rotation(Rotation.from_euler("z", turn), (hinge, 0.0, 0.0)))
