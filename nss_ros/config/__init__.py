@@ -13,7 +13,6 @@ from nss_ros.config.dataset import (
     SelectionConfig,
     SplitConfig,
 )
-from nss_ros.config.ground_truth import AlignmentConfig, RefinementConfig
 from nss_ros.config.loading import NssConfig, load_config, validated, write_config
 from nss_ros.config.run import (
     FpfhConfig,
@@ -30,7 +29,6 @@ from nss_ros.config.simulation import RigConfig, SimulationConfig, ViewpointConf
 from nss_ros.config.site import SiteConfig, WingConfig
 
 __all__ = [
-    "AlignmentConfig",
     "DatasetConfig",
     "FpfhConfig",
     "GraphConfig",
@@ -41,7 +39,6 @@ __all__ = [
     "PlayerConfig",
     "PoseGraphConfig",
     "RecorderConfig",
-    "RefinementConfig",
     "RegistrationConfig",
     "RegistrationNodeConfig",
     "RigConfig",

@@ -1,4 +1,4 @@
-"""Settings of datasets: pairs, splits, graphs and the refinement of ground truth."""
+"""Settings of datasets: pairs, splits and graphs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from nss_ros.config.ground_truth import AlignmentConfig, RefinementConfig
 from nss_ros.config.section import Fraction, Positive, Section
 
 
@@ -132,5 +131,3 @@ class DatasetConfig(Section):
     pairs: PairConfig = PairConfig()
     splits: SplitConfig = SplitConfig()
     graphs: GraphConfig = GraphConfig()
-    alignment: AlignmentConfig = AlignmentConfig()
-    refinement: RefinementConfig = RefinementConfig()

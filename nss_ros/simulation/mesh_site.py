@@ -20,6 +20,7 @@ from nss_ros.simulation.site import Rectangle, Site
 MESH_ENDINGS = frozenset((".ply", ".obj", ".stl", ".off", ".glb", ".gltf", ".3mf", ".dae"))
 
 _FLOOR_BIN = 0.05
+_SAME_PLACE = 1e-3  # metres; formats round coordinates
 _LEVEL = 0.9  # least z of a normal that points up
 _Z_UP_FROM_Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -43,8 +44,8 @@ class MeshArea(Section):
 def build_mesh_site(name: str, area: MeshArea, folder: Path) -> Site:
     """The site of an area given as meshes.
 
-    A part of a mesh (a named geometry of a scene, or what is connected) that is exactly the same
-    in several stages is one element of all of them, so that points carry change labels.
+    A part of a mesh (a named geometry of a scene, or what is connected) that is the same to a
+    millimetre in several stages is one element of all of them, so that points carry change labels.
 
     Args:
         name: of the area.
@@ -67,7 +68,7 @@ def build_mesh_site(name: str, area: MeshArea, folder: Path) -> Site:
         path = folder / file
         hashes[path.name] = _sha256(path)
         for label, mesh in _parts(path, area):
-            key = hashlib.sha256(mesh.vertices.tobytes() + mesh.triangles.tobytes()).digest()
+            key = _shape_key(mesh)
             stages.setdefault(key, set()).add(number)
             parts.setdefault(key, (label, mesh))
     elements = tuple(
@@ -132,6 +133,14 @@ def _connected(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> I
     for rows in np.split(order, np.flatnonzero(np.diff(part_of[order])) + 1):
         used, numbers = np.unique(triangles[rows], return_inverse=True)
         yield Mesh(vertices[used], numbers.reshape(-1, 3).astype(np.int32))
+
+
+def _shape_key(mesh: Mesh) -> bytes:
+    """The same for the same triangles, in whatever order a file has them."""
+    corners = np.round(mesh.vertices / _SAME_PLACE).astype(np.int64)[mesh.triangles]
+    order = np.lexsort(np.moveaxis(corners, 2, 0)[::-1], axis=1)
+    within = np.take_along_axis(corners, order[:, :, None], axis=1).reshape(-1, 9)
+    return hashlib.sha256(np.unique(within, axis=0).tobytes()).digest()
 
 
 def _bounds(elements: tuple[Element, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -11,6 +11,7 @@ Every ray takes the same number of draws whatever it hits.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,9 @@ from nss_ros.config import RigConfig
 from nss_ros.simulation.element import Material
 
 Array = NDArray[np.float32]
+
+_FAR = np.float32(1000)
+"""Farther than any return, metres."""
 
 
 _NORMAL = ndtri((np.arange(2**16) + 0.5) / 2**16).astype(np.float32)
@@ -54,23 +58,19 @@ def measured_depth(depth: Array, normal: Array, config: RigConfig) -> Array:
     """Depths with axial noise, rounded to whole steps of disparity.
 
     Args:
-        depth: (n,) true ones along the optical axis, metres, positive.
+        depth: (n,) true ones along the optical axis, metres, positive; inf comes out as far away.
         normal: (n,) standard normal draws.
         config: axial_noise, disparity_step, min_range.
     """
-    noisy = depth + normal * depth * depth * np.float32(config.axial_noise)
+    finite = np.minimum(depth, _FAR)
+    noisy = finite + normal * finite * finite * np.float32(config.axial_noise)
     np.maximum(noisy, np.float32(config.min_range / 2), out=noisy)
     if config.disparity_step == 0:
-        return noisy
+        return np.asarray(noisy)
     # Depth d has disparity proportional to 1/d; steps of one unit of `1 / disparity_step`.
     scale = np.float32(1 / config.disparity_step)
     disparity = np.rint(scale / noisy)
     return np.asarray(scale / np.maximum(disparity, np.float32(1)))
-
-
-def deepest_error(distance: float, config: RigConfig) -> float:
-    """More than the depth noise that any ray gets at a distance, metres."""
-    return (8 * config.axial_noise + config.disparity_step) * distance**2
 
 
 def returned(
@@ -83,21 +83,28 @@ def returned(
     """Which rays give a return.
 
     Args:
-        distance: (n,) to the surface, metres.
+        distance: (n,) to the surface, metres; inf without one.
         cosine: (n,) of the incidence, from 0 (grazing) to 1.
         materials: (n,) `Material` of the surface.
         uniform: (n,) draws from [0, 1).
         config: limits by range, incidence and material.
     """
-    incidence = np.degrees(np.arccos(np.minimum(cosine, np.float32(1))))
-    chance = _falling(incidence, config.grazing_start, config.grazing_end)
-    metal = np.flatnonzero(materials == Material.METAL)
-    chance[metal] = _falling(incidence[metal], config.metal_grazing_start, config.metal_grazing_end)
-    dark = np.flatnonzero(materials == Material.DARK)
+    chance = _grazing(cosine, config.grazing_start, config.grazing_end)
+    other = np.flatnonzero(materials)
+    kinds = materials.take(other)
+    metal = other[kinds == Material.METAL]
+    chance[metal] = _grazing(cosine[metal], config.metal_grazing_start, config.metal_grazing_end)
+    dark = other[kinds == Material.DARK]
     chance[dark] *= _falling(distance[dark], config.dark_range_start, config.dark_range_end)
-    chance[materials == Material.GLASS] *= np.float32(config.glass_return)
+    chance[other[kinds == Material.GLASS]] *= np.float32(config.glass_return)
     chance *= np.float32(1 - config.dropout)
-    return np.asarray((uniform < chance) & (distance >= np.float32(config.min_range)))
+    inside = (distance >= np.float32(config.min_range)) & (distance < _FAR)
+    return np.asarray((uniform < chance) & inside)
+
+
+def _grazing(cosine: Array, start: float, end: float) -> Array:
+    """1 up to an incidence of `start` degrees, 0 from `end`, linear in the cosine between."""
+    return _falling(-cosine, -math.cos(math.radians(start)), -math.cos(math.radians(end)))
 
 
 def _falling(values: Array, start: float, end: float) -> Array:

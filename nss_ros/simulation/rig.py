@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from nss_ros.config import RigConfig
 from nss_ros.geometry import Transform, from_rotation
-from nss_ros.simulation.noise import deepest_error, draw_noise, measured_depth, returned
+from nss_ros.simulation.noise import draw_noise, measured_depth, returned
 from nss_ros.simulation.scene import Scene
 
 PITCHES = (-30.0, 0.0, 30.0)
@@ -30,20 +30,22 @@ class Returns:
         points: (n, 3) float32, metres, sensor frame.
         normals: (n, 3) float32 unit normals of the surfaces, towards the sensor, sensor frame.
         triangles: (n,) indices of the triangles of the scene.
+        ranges: (n,) float32, distances from the sensor, metres.
     """
 
     points: NDArray[np.float32]
     normals: NDArray[np.float32]
     triangles: NDArray[np.uint32]
+    ranges: NDArray[np.float32]
 
     def within(self, distance: float) -> Returns:
         """Those no farther from the sensor than a distance in metres."""
-        squared = np.einsum("ij,ij->i", self.points, self.points)
-        kept = np.flatnonzero(squared <= np.float32(distance**2))
+        kept = np.flatnonzero(self.ranges <= np.float32(distance))
         return Returns(
-            self.points.take(kept, axis=0),
-            self.normals.take(kept, axis=0),
+            self.points.T.take(kept, axis=1).T,
+            self.normals.T.take(kept, axis=1).T,
             self.triangles.take(kept),
+            self.ranges.take(kept),
         )
 
 
@@ -99,11 +101,12 @@ def scan(
         _image(scene, T_map_fragment, rotation, (nominal, lengths), config, rng, reach)
         for rotation in image_rotations()
     ]
-    points, normals, triangles = zip(*images, strict=True)
+    points, normals, triangles, ranges = zip(*images, strict=True)
     return Returns(
         np.concatenate(points, axis=1).T,
         np.concatenate(normals, axis=1).T,
         np.concatenate(triangles),
+        np.concatenate(ranges),
     )
 
 
@@ -115,8 +118,8 @@ def _image(
     config: RigConfig,
     rng: np.random.Generator,
     reach: float,
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32]]:
-    """Points and normals (3, n) of one image in the sensor frame, and their triangles (n,).
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.uint32], NDArray[np.float32]]:
+    """Points and normals (3, n) of one image, sensor frame, their triangles and ranges (n,).
 
     Args:
         scene: the site, map frame.
@@ -133,22 +136,21 @@ def _image(
     cast[1:] += draws.lateral * np.float32(np.radians(config.lateral_noise))
     into_map = (T_map_fragment[:3, :3] @ rotation).astype(np.float32)
     hits = scene.cast(T_map_fragment[:3, 3], (into_map @ cast).T)
-    limit = np.float32(reach + deepest_error(reach, config))
-    near = np.flatnonzero(hits.distances * lengths <= limit)
-    true_depth, lengths = hits.distances.take(near), lengths.take(near)
-    normals = into_map.T @ hits.normals.take(near, axis=0).T
-    triangles = hits.triangles.take(near)
-    cosine = -(normals * cast.take(near, axis=1)).sum(axis=0) / lengths
-    depth = measured_depth(true_depth, draws.axial.take(near), config)
+    normals = into_map.T @ hits.normals.T
+    cosine = -(normals * cast).sum(axis=0) / lengths
+    depth = measured_depth(hits.distances, draws.axial, config)
     back = returned(
-        true_depth * lengths,
-        np.abs(cosine),
-        scene.materials.take(triangles),
-        draws.chance.take(near),
-        config,
+        hits.distances * lengths, np.abs(cosine), scene.material_of(hits), draws.chance, config
     )
-    kept = np.flatnonzero(back & (depth * lengths <= np.float32(reach)))
-    normals *= np.sign(cosine)  # towards the sensor, whichever way the mesh has them
+    ranges = depth * lengths
+    kept = np.flatnonzero(back & (ranges <= np.float32(reach)))
+    points = nominal.take(kept, axis=1) * depth.take(kept)
+    # Towards the sensor, whichever way the mesh has them.
+    facing = normals.take(kept, axis=1) * np.sign(cosine.take(kept))
     into_sensor = rotation.astype(np.float32)
-    points = nominal.take(near.take(kept), axis=1) * depth.take(kept)
-    return into_sensor @ points, into_sensor @ normals.take(kept, axis=1), triangles.take(kept)
+    return (
+        into_sensor @ points,
+        into_sensor @ facing,
+        hits.triangles.take(kept),
+        ranges.take(kept),
+    )

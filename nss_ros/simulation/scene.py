@@ -67,8 +67,10 @@ class Scene:
             directions: (n, 3) of any length but zero.
         """
         rays = np.empty((len(directions), 6), dtype=np.float32)
-        rays[:, :3] = origins - self._offset
-        rays[:, 3:] = directions
+        starts = np.asarray(origins - self._offset)
+        for axis in range(3):  # numpy is slow along short rows
+            rays[:, axis] = starts[..., axis]
+            rays[:, 3 + axis] = directions[:, axis]
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=1)
         return Hits(
             answer["t_hit"].numpy(),
@@ -76,7 +78,8 @@ class Scene:
             answer["primitive_ids"].numpy(),
         )
 
-    def distance(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Distance of points (n, 3) from the nearest surface, (n,) metres."""
-        queries = self._tensor((points - self._offset).astype(np.float32))
-        return np.asarray(self._scene.compute_distance(queries).numpy(), dtype=np.float64)
+    def material_of(self, hits: Hits) -> NDArray[np.uint8]:
+        """`Material` (n,) of the triangles that rays hit; without a hit, of any."""
+        if len(self.materials) == 0:
+            return np.full(len(hits.triangles), Material.MATT, dtype=np.uint8)
+        return np.asarray(self.materials.take(hits.triangles, mode="clip"))

@@ -138,6 +138,11 @@ def choose_spots(site: Site, config: SimulationConfig, seed: int, workers: int =
     ]
 
 
+def spot_stream(seed: int, fragment: FragmentId) -> np.random.Generator:
+    """The random numbers of one spot: first of its pose, then of its noise."""
+    return _stream(seed, fragment.area, fragment.stage, fragment.spot, _SCAN_STREAM)
+
+
 def _stages(site: Site, numbers: Iterable[int]) -> Iterator[_Stage]:
     """The stages of these numbers, which may repeat; the last one is kept."""
     call = next(_CALLS)
@@ -166,7 +171,7 @@ def _choose_places(call: _PlaceCall) -> NDArray[np.float64]:
 def _scan_spot(call: tuple[_Stage, Spot, SimulationConfig, int]) -> Scan | None:
     """What a spot gives, None if that is nothing."""
     stage, spot, config, seed = call
-    rng = _stream(seed, spot.id.area, spot.id.stage, spot.id.spot, _SCAN_STREAM)
+    rng = spot_stream(seed, spot.id)
     T_map_fragment = draw_pose(spot.place, config.rig, rng)
     reach = max(config.rig.max_range, FULL_SCALE if config.panorama else 0)
     everything = scan(_scene(stage), T_map_fragment, config.rig, rng, reach)

@@ -13,8 +13,10 @@ from nss_ros.dataset.challenge import (
     ChallengeNode,
     all_pairs,
     edge_pairs,
+    fragment_ids,
     ground_truth,
     read_graphs,
+    write_graph,
     write_graphs,
 )
 from nss_ros.errors import FormatError
@@ -127,6 +129,29 @@ def test_written_graphs_are_read_back_exactly(tmp_path_factory, twist, node_id):
     assert second.edges is None
 
 
+def test_a_graph_of_the_release_is_written_as_it_was_read(tmp_path):
+    content = graph_2025()
+    content["nodes"][1] |= {"building": 1, "stage": 4, "spot": 2}  # numbers, as the release does
+    (graph,) = read_graphs(write(tmp_path / "graph.json", content))
+    assert graph.nodes[0].points == 10
+    assert graph.nodes[1].points is None
+    write_graph(tmp_path / "again.json", graph)
+    assert json.loads((tmp_path / "again.json").read_text()) == content
+
+
+def test_a_building_with_a_name_keeps_it(tmp_path):
+    names = ("B2", "007", "7")
+    nodes = tuple(
+        ChallengeNode(i, f"Bldg{name}_Stage1_Spot1.ply", labels=(("building", name),))
+        for i, name in enumerate(names)
+    )
+    write_graph(tmp_path / "graph.json", ChallengeGraph("g", nodes))
+    written = json.loads((tmp_path / "graph.json").read_text())
+    assert [node["building"] for node in written["nodes"]] == ["B2", "007", 7]
+    (graph,) = read_graphs(tmp_path / "graph.json")
+    assert [id_.area for id_ in fragment_ids(graph).values()] == list(names)
+
+
 def changed(*changes):
     content = graph_2025()
     for path, value in changes:
@@ -160,6 +185,8 @@ LONG = (np.eye(4) * 1.5).tolist()
         (changed((("nodes", 0, "name"), "scan.ply")), "'scan.ply' is not a fragment id"),
         (changed((("nodes", 0, "name"), None)), "Node 0 .* has no name"),
         (changed((("nodes", 0, "name"), 3)), "name of node 0 .* is not a text"),
+        (changed((("nodes", 0, "points"), -1)), "'points' of node 0 .* not a count: -1"),
+        (changed((("nodes", 0, "points"), "many")), "'points' of node 0 .* not a count"),
         (changed((("nodes", 0, "stage"), 2)), "its stage is 2: make them agree"),
         (changed((("nodes", 0, "building"), "B")), "its building is B"),
         (changed((("nodes", 0, "global_transform"), LONG)), "pose of node 0 .* is not rigid"),

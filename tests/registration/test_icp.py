@@ -3,8 +3,8 @@ import pytest
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.geometry import exponential, inverse, logarithm, transform_points
-from nss_ros.registration.features import describe
 from nss_ros.icp import Surface, refine
+from nss_ros.registration.features import describe
 from nss_ros.registration.relative_transform import Reason
 from nss_ros.registration.validation import support, verdict
 

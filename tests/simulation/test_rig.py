@@ -3,6 +3,7 @@ import pytest
 
 from nss_ros.config import RigConfig
 from nss_ros.geometry import from_yaw, tilt_angle, transform_points
+from nss_ros.simulation.element import Material
 from nss_ros.simulation.mesh import box, merge
 from nss_ros.simulation.rig import draw_pose, image_directions, image_rotations, scan
 from nss_ros.simulation.scene import Scene
@@ -33,14 +34,14 @@ def distance_from_walls(points):
 
 
 def test_an_exact_scan_lies_on_the_walls_in_the_sensor_frame(room):
-    points = transform_points(POSE, scan(room, POSE, EXACT, np.random.default_rng(0)))
+    points = transform_points(POSE, scan(room, POSE, EXACT, np.random.default_rng(0)).points)
     assert len(points) > 0.9 * 18 * 160 * 120
     assert distance_from_walls(points).max() < 1e-4
 
 
 def test_images_look_where_the_rig_says():
     directions = image_directions(RigConfig())
-    angles = np.degrees(np.arctan(np.abs(directions[:, 1:]).max(axis=0)))
+    angles = np.degrees(np.arctan(np.abs(directions[1:]).max(axis=1)))
     assert 28 < angles[0] < 29
     assert 22 < angles[1] < 22.5
     axes = image_rotations() @ [1.0, 0.0, 0.0]
@@ -52,7 +53,7 @@ def test_images_look_where_the_rig_says():
 
 
 def test_the_field_of_view_leaves_the_poles_unseen(room):
-    points = scan(room, POSE, EXACT, np.random.default_rng(0))
+    points = scan(room, POSE, EXACT, np.random.default_rng(0)).points
     elevation = np.degrees(np.arctan2(points[:, 2], np.linalg.norm(points[:, :2], axis=1)))
     # 30 + 22.5 degrees in the middle of an image, less towards its corners
     assert 45 < elevation.max() < 53
@@ -61,7 +62,7 @@ def test_the_field_of_view_leaves_the_poles_unseen(room):
 
 def test_range_limits_hold(room):
     config = EXACT.model_copy(update={"min_range": 1.7, "max_range": 2.2})
-    distances = np.linalg.norm(scan(room, POSE, config, np.random.default_rng(0)), axis=1)
+    distances = np.linalg.norm(scan(room, POSE, config, np.random.default_rng(0)).points, axis=1)
     assert distances.min() >= 1.7 - 1e-4
     assert distances.max() <= 2.2 + 1e-4
 
@@ -71,7 +72,7 @@ def test_noise_grows_with_depth():
     spread = []
     for depth in (1.0, 2.0, 4.0):
         scene = Scene(box((depth, -10, -10), (depth + 1, 10, 10)))
-        points = scan(scene, np.eye(4), config, np.random.default_rng(0))
+        points = scan(scene, np.eye(4), config, np.random.default_rng(0)).points
         ahead = points[np.abs(points[:, 1:]).max(axis=1) < 0.4 * depth]
         assert ahead[:, 0].mean() == pytest.approx(depth, rel=0.005)
         spread.append(ahead[:, 0].std())
@@ -84,7 +85,7 @@ def test_noise_grows_with_depth():
 def test_depths_are_whole_steps_of_disparity():
     scene = Scene(box((3.0, -10, -10), (4.0, 10, 10)))
     config = RigConfig(lateral_noise=0)
-    points = scan(scene, np.eye(4), config, np.random.default_rng(0))
+    points = scan(scene, np.eye(4), config, np.random.default_rng(0)).points
     ahead = points[np.abs(points[:, 1:]).max(axis=1) < 0.3].astype(float)  # only the level image
     disparity = 1 / (ahead[:, 0] * config.disparity_step)
     assert np.abs(disparity - np.rint(disparity)).max() < 1e-3
@@ -96,10 +97,10 @@ def test_grazing_surfaces_give_fewer_returns():
     floor = Scene(box((-10, -10, -1), (10, 10, 0)))
     low = from_yaw(0.0, (0.0, 0.0, 0.3))
     config = EXACT.model_copy(update={"grazing_start": 70.0, "grazing_end": 85.0})
-    points = scan(floor, low, config, rng)
+    points = scan(floor, low, config, rng).points
     incidence = np.degrees(np.arctan2(np.linalg.norm(points[:, :2], axis=1), 0.3))
     assert incidence.max() < 85.0
-    everything = scan(floor, low, EXACT, rng)
+    everything = scan(floor, low, EXACT, rng).points
     kept = np.degrees(np.arctan2(np.linalg.norm(everything[:, :2], axis=1), 0.3))
     assert (incidence < 69).sum() == pytest.approx((kept < 69).sum(), rel=0.01)
     assert (incidence > 78).sum() < 0.5 * (kept > 78).sum()
@@ -107,12 +108,12 @@ def test_grazing_surfaces_give_fewer_returns():
 
 def test_no_return_where_there_is_nothing():
     scene = Scene(box((100, 100, 100), (101, 101, 101)))
-    assert scan(scene, POSE, RigConfig(), np.random.default_rng(0)).shape == (0, 3)
+    assert scan(scene, POSE, RigConfig(), np.random.default_rng(0)).points.shape == (0, 3)
 
 
 def test_tripods_stand_almost_level_at_any_heading():
     rng = np.random.default_rng(0)
-    poses = [draw_pose(np.array([1.0, 2.0]), RigConfig(), rng) for _ in range(300)]
+    poses = [draw_pose((1.0, 2.0, 0.0), RigConfig(), rng) for _ in range(300)]
     heights = np.array([pose[2, 3] for pose in poses])
     assert heights.min() >= 1.5
     assert heights.max() <= 1.75
@@ -121,3 +122,32 @@ def test_tripods_stand_almost_level_at_any_heading():
     assert np.sqrt(np.mean(tilts**2)) == pytest.approx(0.5 * np.sqrt(2), rel=0.15)
     headings = np.arctan2([p[1, 0] for p in poses], [p[0, 0] for p in poses])
     assert np.histogram(headings, bins=4, range=(-np.pi, np.pi))[0].min() > 40
+
+
+def test_materials_give_fewer_returns_where_they_should():
+    wall = box((3.0, -10, -10), (4.0, 10, 10))
+    config = EXACT.model_copy(update={"max_range": 10.0})
+
+    def returns(material, changes=None):
+        materials = np.full(len(wall.triangles), material, dtype=np.uint8)
+        changed = config.model_copy(update=changes or {})
+        return len(
+            scan(Scene(wall, materials), np.eye(4), changed, np.random.default_rng(0)).points
+        )
+
+    matt = returns(Material.MATT)
+    assert returns(Material.GLASS) == pytest.approx(config.glass_return * matt, rel=0.2)
+    assert returns(Material.METAL) < 0.8 * matt
+    assert returns(Material.DARK) < 0.5 * matt
+    assert returns(Material.DARK, {"dark_range_start": 50.0, "dark_range_end": 60.0}) == matt
+
+
+def test_normals_face_the_sensor_and_triangles_are_those_that_were_hit(room):
+    returns = scan(room, POSE, EXACT, np.random.default_rng(0))
+    assert (np.einsum("ij,ij->i", returns.normals, returns.points) < 0).all()
+    np.testing.assert_allclose(np.linalg.norm(returns.normals, axis=1), 1, atol=1e-5)
+    hit = room.mesh.vertices[room.mesh.triangles[returns.triangles]]
+    normals = np.cross(hit[:, 1] - hit[:, 0], hit[:, 2] - hit[:, 0])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    turned = returns.normals @ POSE[:3, :3].T
+    np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", normals, turned)), 1, atol=1e-4)

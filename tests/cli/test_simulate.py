@@ -1,0 +1,156 @@
+"""From a site to a dataset with pairs, graphs, tables and a bag, by the commands."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from nss_ros.bag import read_log
+from nss_ros.cli.main import app
+from nss_ros.dataset.challenge_folder import read_folder, read_fragment
+from nss_ros.dataset.folder import DatasetFolder
+from nss_ros.errors import BagError, ConfigError, FormatError, InputError
+
+SMALL = ["--seed", "3", "--spots-per-stage", "4", "--workers", "1"]
+SMALL += ["-s", "simulation.rig.image_width=60", "-s", "simulation.rig.image_height=45"]
+SITE = """
+areas:
+  "1": {procedural: {width: 14, depth: 11, stages: 2}}
+  "2": {procedural: {width: 14, depth: 11, stages: 2, use: residential}}
+"""
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+def run_json(*arguments):
+    result = run(*arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A dataset of two areas and the bag that was written with it."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "site.yaml").write_text(SITE)
+    summary = run_json(
+        "simulate", folder / "site.yaml", "-o", folder / "dataset", "--bag", folder / "bag", *SMALL
+    )
+    return folder, summary
+
+
+def test_the_dataset_and_the_bag_hold_what_the_summary_says(made):
+    folder, summary = made
+    dataset = DatasetFolder(folder / "dataset")
+    assert dataset.manifest.complete
+    ids = dataset.fragment_ids()
+    assert [str(id_) for id_ in ids[:4]] == [f"Bldg1_Stage1_Spot{spot}" for spot in (1, 2, 3, 4)]
+    assert summary["fragments"] == len(ids) == 16
+    log = read_log(folder / "bag")
+    assert list(log.fragments) == ids
+    for id_ in ids:
+        assert np.array_equal(log.fragments[id_].points, dataset.fragment(id_).points)
+        assert log.fragments[id_].gravity_aligned
+    poses = dataset.poses()
+    assert [graph.name for graph in log.ground_truth] == ["Bldg1_Graph1", "Bldg2_Graph1"]
+    for graph in log.ground_truth:
+        for node in graph.nodes:
+            np.testing.assert_allclose(node.T_map_fragment, poses[node.id], atol=1e-9)
+        assert all(edge.overlap_ratio >= 0.1 for edge in graph.edges)
+    edges = {edge.pair for graph in log.ground_truth for edge in graph.edges}
+    assert edges == set(log.pairs)
+    same = sum(pair.same_stage for pair in log.pairs)
+    assert summary["bag"]["same_stage_pairs"] == same
+    assert summary["bag"]["different_stage_pairs"] == len(log.pairs) - same
+    assert log.metadata["simulation.seed"] == "3"
+    assert log.metadata["sites.areas.2.procedural.use"] == "residential"
+
+
+def test_same_seed_same_bytes(made, tmp_path):
+    folder, _ = made
+    run_json("simulate", folder / "site.yaml", "-o", tmp_path / "again", *SMALL, "--workers", 2)
+    for path in sorted((tmp_path / "again").rglob("*")):
+        if path.is_file() and path.name != "manifest.json":
+            other = folder / "dataset" / path.relative_to(tmp_path / "again")
+            assert path.read_bytes() == other.read_bytes(), path.name
+
+
+def test_a_run_that_was_cut_short_is_completed(made, tmp_path):
+    folder, _ = made
+    run_json("simulate", folder / "site.yaml", "-o", tmp_path / "cut", *SMALL)
+    whole = (tmp_path / "cut" / "poses.jsonl").read_text()
+    lost = tmp_path / "cut" / "point_cloud" / "Bldg2_Stage2_Spot4.ply"
+    before = lost.read_bytes()
+    lost.unlink()
+    (tmp_path / "cut" / "poses.jsonl").write_text(whole[: whole.rindex("{") + 30])
+    run_json("simulate", folder / "site.yaml", "-o", tmp_path / "cut", *SMALL)
+    assert lost.read_bytes() == before
+    assert (tmp_path / "cut" / "poses.jsonl").read_text() == whole
+    result = run("simulate", folder / "site.yaml", "-o", tmp_path / "cut", "--seed", 4)
+    assert isinstance(result.exception, InputError)
+    assert "seed = 3, not 4" in str(result.exception)
+
+
+def test_pairs_are_split_and_graphs_make_a_challenge_folder(made):
+    folder, _ = made
+    dataset = folder / "dataset"
+    summary = run_json("pairs", dataset, "--workers", 1, "--select", 6)
+    assert set(summary["splits"]) == {"original", "cross_area", "cross_stage"}
+    assert 0 < summary["selected"]["same_stage"] <= 6
+    cross_area = summary["splits"]["cross_area"]
+    assert all(cross_area["test"][kind] > 0 for kind in ("same_stage", "different_stage"))
+    assert (dataset / "splits" / "cross_area" / "test.csv").is_file()
+    graphs = run_json("graphs", dataset, "-s", "dataset.graphs.sizes=[5]", "--count", 2)
+    assert graphs["sets"]["all"]["graphs"] > 0
+    challenge = read_folder(dataset)
+    assert len(challenge.graphs) == graphs["sets"]["all"]["graphs"]
+    for id_, file in challenge.point_files.items():
+        fragment, dropped = read_fragment(id_, file, gravity_aligned=True)
+        assert dropped == 0
+        assert np.array_equal(fragment.points, DatasetFolder(dataset).fragment(id_).points)
+    whole = run_json(
+        "graphs", dataset, "--kind", "multiway", "--split", "cross_area",
+        "-s", "dataset.graphs.min_component=3",
+    )  # fmt: skip
+    assert set(whole["sets"]) == {"train", "val", "test"}
+    assert DatasetFolder(dataset).manifest.steps["pairs"]["seed"] == 0
+
+
+def test_tables_and_plots_are_made(made, tmp_path):
+    folder, _ = made
+    result = run("stats", folder / "dataset", "-o", tmp_path / "plots", "--format", "markdown")
+    assert result.exit_code == 0, result.output
+    assert "| 1 " in result.stdout
+    names = {path.name for path in (tmp_path / "plots").iterdir()}
+    assert {"pairs_all.png", "pairs_selected.png", "plan_1.png", "graph_2.png"} <= names
+    tables = run_json("stats", folder / "dataset", "--table", "areas")
+    (rows,) = tables.values()
+    assert [row["area"] for row in rows if row["area"] != "total"] == ["1", "2"]
+
+
+def test_pictures_of_a_site_are_drawn(made, tmp_path):
+    folder, _ = made
+    result = run("picture", folder / "site.yaml", "-o", tmp_path, "--width", 400)
+    assert result.exit_code == 0, result.output
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {f"area_{a}_{v}.png" for a in (1, 2) for v in ("stages", "interiors")}
+
+
+def test_what_is_wrong_is_one_sentence(made, tmp_path):
+    folder, _ = made
+    for arguments, kind, message in [
+        (("simulate", "nowhere", "-o", tmp_path / "a"), InputError, "no site 'nowhere'"),
+        (("simulate", "-o", tmp_path / "a", "--bag", folder / "bag"), BagError, "exists already"),
+        (("simulate", "-o", folder), InputError, "not a dataset"),
+        (("simulate", "-o", tmp_path / "a", "-s", "simulation.rig.tilt=-1"), ConfigError, "tilt"),
+        (("pairs", tmp_path), FormatError, "not a dataset"),
+        (("graphs", folder / "bag"), FormatError, "not a dataset"),
+        (("stats", tmp_path / "none"), FormatError, "not a dataset"),
+    ]:
+        result = run(*arguments)
+        assert isinstance(result.exception, kind), result.output
+        assert message in str(result.exception)
+    assert not (tmp_path / "a").exists()

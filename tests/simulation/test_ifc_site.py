@@ -1,0 +1,275 @@
+"""Small IFC models that the tests write themselves, and a storey of a real building."""
+
+import logging
+
+import ifcopenshell
+import ifcopenshell.api.aggregate
+import ifcopenshell.api.context
+import ifcopenshell.api.geometry
+import ifcopenshell.api.project
+import ifcopenshell.api.pset
+import ifcopenshell.api.root
+import ifcopenshell.api.spatial
+import ifcopenshell.api.unit
+import numpy as np
+import pytest
+import yaml
+
+from nss_ros.errors import ConfigError, FormatError, InputError
+from nss_ros.simulation.element import Material
+from nss_ros.simulation.ifc_plan import IfcArea
+from nss_ros.simulation.ifc_site import build_ifc_site
+from nss_ros.simulation.scene import Scene
+from nss_ros.simulation.site_file import areas, site_file_of
+
+STAGED = {
+    "stages": [{"name": "shell"}, {"name": "studs"}, {"name": "closed"}],
+    "rules": [
+        {"ifc_class": ["IfcSlab"], "name": "upper*", "states": {1: "propped", 2: "built"}},
+        {"name_regex": "[pP]artition", "states": {2: "studs", 3: "built"}},
+        {"property": "Pset_WallCommon.FireRating", "value": "F*", "states": {3: "built"}},
+        {"states": {1: "built"}},
+    ],
+}  # fmt: skip
+
+
+class Model:
+    """A one-storey house; lengths are given in metres and written in `unit`."""
+
+    def __init__(self, schema="IFC4", millimetres=False, elevation=0.0, offset=(0.0, 0.0)):
+        self.file = ifcopenshell.api.project.create_file(version=schema)
+        self._factor = 1000.0 if millimetres else 1.0
+        self._offset = offset
+        self._elevation = elevation
+        root = ifcopenshell.api.root.create_entity
+        project = root(self.file, "IfcProject", name="test")
+        prefix = {"prefix": "MILLI"} if millimetres else {}
+        length = ifcopenshell.api.unit.add_si_unit(self.file, unit_type="LENGTHUNIT", **prefix)
+        ifcopenshell.api.unit.assign_unit(self.file, units=[length])
+        model = ifcopenshell.api.context.add_context(self.file, context_type="Model")
+        self._body = ifcopenshell.api.context.add_context(
+            self.file, "Model", "Body", "MODEL_VIEW", parent=model
+        )
+        building = root(self.file, "IfcBuilding", name="house")
+        self.storey = root(self.file, "IfcBuildingStorey", name="Level 1")
+        self._place(self.storey, 0.0, 0.0, 0.0)
+        ifcopenshell.api.aggregate.assign_object(
+            self.file, products=[building], relating_object=project
+        )
+        ifcopenshell.api.aggregate.assign_object(
+            self.file, products=[self.storey], relating_object=building
+        )
+
+    def _place(self, product, x, y, z):
+        matrix = np.eye(4)
+        matrix[:3, 3] = (x + self._offset[0], y + self._offset[1], z + self._elevation)
+        matrix[:3, 3] *= self._factor
+        ifcopenshell.api.geometry.edit_object_placement(
+            self.file, product=product, matrix=matrix, is_si=False
+        )
+
+    def add(self, ifc_class, name, corner, size, valid=True, **properties):
+        element = ifcopenshell.api.root.create_entity(self.file, ifc_class, name=name)
+        self._place(element, *corner)
+        points = [
+            tuple(float(v) * s * self._factor for v, s in zip(index, size, strict=True))
+            for index in np.ndindex(2, 2, 2)
+        ]
+        faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+        make = self.file.create_entity
+        corners = [make("IfcCartesianPoint", Coordinates=p if valid else (0.0, 0.0, 0.0))
+                   for p in points]  # fmt: skip
+        loops = [make("IfcPolyLoop", [corners[i] for i in face]) for face in faces]
+        bounds = [make("IfcFace", [make("IfcFaceOuterBound", loop, True)]) for loop in loops]
+        brep = make("IfcFacetedBrep", make("IfcClosedShell", bounds))
+        shape = make("IfcShapeRepresentation", self._body, "Body", "Brep", [brep])
+        ifcopenshell.api.geometry.assign_representation(self.file, element, shape)
+        if ifc_class != "IfcSpace":
+            ifcopenshell.api.spatial.assign_container(
+                self.file, products=[element], relating_structure=self.storey
+            )
+        if properties:
+            pset = ifcopenshell.api.pset.add_pset(
+                self.file, product=element, name="Pset_WallCommon"
+            )
+            ifcopenshell.api.pset.edit_pset(self.file, pset=pset, properties=properties)
+        return element
+
+    def house(self):
+        self.add("IfcSlab", "floor", (0, 0, -0.2), (8, 6, 0.2))
+        self.add("IfcSlab", "upper slab", (0, 0, 2.8), (8, 6, 0.2))
+        for name, corner, size in [
+            ("south", (0, 0, 0), (8, 0.2, 2.8)), ("north", (0, 5.8, 0), (8, 0.2, 2.8)),
+            ("west", (0, 0.2, 0), (0.2, 5.6, 2.8)), ("east", (7.8, 0.2, 0), (0.2, 5.6, 2.8)),
+        ]:  # fmt: skip
+            self.add("IfcWall", name, corner, size, LoadBearing=True)
+        self.add("IfcWall", "Partition 1", (4, 0.2, 0), (0.1, 4, 2.6), LoadBearing=False)
+        self.add("IfcWall", "rated", (0.2, 4, 0), (2, 0.1, 2.6), FireRating="F90")
+        self.add("IfcColumn", "HEA 200", (6, 3, 0), (0.2, 0.2, 2.8))
+        self.add("IfcSpace", "room", (0.2, 0.2, 0), (7, 5, 2.6))
+        return self
+
+    def write(self, path):
+        self.file.write(str(path))
+        return path.name
+
+
+@pytest.fixture
+def build(tmp_path):
+    def builder(*names, **settings):
+        settings = {"files": list(names), "cache": str(tmp_path / "cache"), **settings}
+        return build_ifc_site("A", IfcArea(**settings), tmp_path)
+
+    return builder
+
+
+def kinds(site, stage):
+    return sorted(element.name for element in site.elements if stage in element.stages)
+
+
+@pytest.mark.parametrize("schema", ["IFC4", "IFC4X3"])  # the real building is of IFC2X3
+def test_a_plan_stages_a_storey(tmp_path, build, schema):
+    name = Model(schema).house().write(tmp_path / "house.ifc")
+    site = build(name, **STAGED)
+    assert site.stage_names == ("shell", "studs", "closed")
+    shell = ["HEA 200", "east", "floor", "north", "south", "upper slab", "west"]
+    assert kinds(site, 1) == sorted([*shell, "upper slab, props"])
+    assert kinds(site, 2) == sorted([*shell, "Partition 1, studs", "Partition 1, track"])
+    assert kinds(site, 3) == sorted([*shell, "Partition 1", "rated"])
+    assert not any(element.kind == "IfcSpace" for element in site.elements)
+    (column,) = [element for element in site.elements if element.name == "HEA 200"]
+    assert column.material is Material.METAL
+    assert site.source["storey"] == "Level 1"
+    assert site.source["skipped"] == []
+
+
+def test_units_elevation_and_large_offsets_do_not_matter(tmp_path, build):
+    plain = build(Model().house().write(tmp_path / "plain.ifc"), **STAGED)
+    far = Model(millimetres=True, elevation=6.0, offset=(155_000.0, 463_000.0)).house()
+    moved = build(far.write(tmp_path / "far.ifc"), **STAGED)
+    assert moved.floor_height == plain.floor_height == 0.0
+    for one, other in zip(plain.elements, moved.elements, strict=True):
+        assert (one.name, one.stages) == (other.name, other.stages)
+        np.testing.assert_allclose(one.mesh.vertices, other.mesh.vertices, atol=1e-4)
+
+
+def test_a_ray_sees_studs_then_a_wall(tmp_path, build):
+    site = build(Model().house().write(tmp_path / "house.ifc"), **STAGED)
+    eye = np.array([2.0, 2.0, 1.6])
+    yaw = np.linspace(-0.4, 0.4, 200)
+    rays = np.column_stack((np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)))
+    hit = []
+    for stage in (1, 2, 3):
+        distances = Scene(site.stage_mesh(stage).mesh).cast(eye, rays).distances
+        hit.append(float((distances < 3.0).mean()))
+    assert hit[0] < 0.15  # the props under the upper slab
+    assert hit[0] < hit[1] < 0.5
+    assert hit[2] > 0.95
+
+
+def test_without_a_plan_the_usual_order_of_works_holds(tmp_path, build):
+    model = Model().house()
+    model.add("IfcFurniture", "desk", (5, 1, 0), (1.6, 0.8, 0.75))
+    site = build(model.write(tmp_path / "house.ifc"))
+    assert site.stage_names == ("shell", "rough", "finished")
+    assert "Partition 1, studs" in kinds(site, 2)
+    assert "Partition 1" not in kinds(site, 2)
+    assert {"Partition 1", "desk"} <= set(kinds(site, 3))
+    assert "desk" not in kinds(site, 2)
+
+
+def test_dates_of_a_schedule_decide(tmp_path, build):
+    model = Model().house()
+    late = model.add("IfcWall", "late", (2, 2, 0), (1, 0.1, 2.0))
+    name = model.write(tmp_path / "house.ifc")
+    (tmp_path / "plan.csv").write_text(f"GlobalId,finish\n{late.GlobalId},2026-03-01\n")
+    stages = [{"name": "a", "date": "2026-02-01"}, {"name": "b", "date": "2026-04-01"}]
+    rules = [{"name": "late", "by_schedule": True}, {"states": {1: "built"}}]
+    site = build(name, stages=stages, rules=rules, schedule="plan.csv")
+    (element,) = [element for element in site.elements if element.name == "late"]
+    assert element.stages == {2}
+    (tmp_path / "plan.csv").write_text("GlobalId,finish\nx,soon\n")
+    with pytest.raises(FormatError, match="Line 2"):
+        build(name, stages=stages, rules=rules, schedule="plan.csv")
+
+
+def test_a_broken_element_is_left_out_by_name(tmp_path, build, caplog):
+    caplog.set_level(logging.CRITICAL)
+    model = Model().house()
+    bad = model.add("IfcBeam", "broken beam", (1, 1, 2), (1, 0.2, 0.2), valid=False)
+    site = build(model.write(tmp_path / "house.ifc"), **STAGED)
+    (sentence,) = site.source["skipped"]
+    assert "house.ifc" in sentence
+    assert "IfcBeam" in sentence
+    assert bad.GlobalId in sentence
+    assert "broken beam" in sentence
+    assert len(kinds(site, 1)) == 8
+
+
+def test_the_cache_gives_the_same_site(tmp_path, build):
+    name = Model().house().write(tmp_path / "house.ifc")
+    first = build(name, **STAGED)
+    (kept,) = (tmp_path / "cache").iterdir()
+    second = build(name, **STAGED)
+    kept.write_bytes(b"damaged")
+    third = build(name, **STAGED)
+    for site in (second, third):
+        for one, other in zip(first.elements, site.elements, strict=True):
+            assert np.array_equal(one.mesh.vertices, other.mesh.vertices)
+            assert np.array_equal(one.mesh.triangles, other.mesh.triangles)
+
+
+def test_a_model_without_floor_gets_one(tmp_path, build):
+    model = Model()
+    model.add("IfcWall", "wall", (0, 0, 0), (6, 0.2, 2.5))
+    name = model.write(tmp_path / "wall.ifc")
+    site = build(name)
+    assert "ground" in {element.kind for element in site.elements}
+    bare = build(name, ground=False)
+    assert "ground" not in {element.kind for element in bare.elements}
+
+
+def test_what_cannot_be_built_is_refused(tmp_path, build):
+    name = Model().house().write(tmp_path / "house.ifc")
+    with pytest.raises(InputError, match=r"no IFC file .*none\.ifc"):
+        build("none.ifc")
+    with pytest.raises(InputError, match="no storey 'Roof', but 'Level 1'"):
+        build(name, storey="Roof")
+    with pytest.raises(InputError, match="no element between"):
+        build(name, floor=40.0)
+    with pytest.raises(InputError, match="no element at stage 1"):
+        build(name, stages=[{}, {}], rules=[{"states": {2: "built"}}])
+    (tmp_path / "text.ifc").write_text("nothing of the kind")
+    with pytest.raises(FormatError, match=r"text\.ifc cannot be read"):
+        build("text.ifc")
+    (tmp_path / "plan.yaml").write_text(
+        yaml.safe_dump({"areas": {"1": {"ifc": {"files": [name], "rules": [{}], "stages": [{}]}}}})
+    )
+    with pytest.raises(ConfigError, match="by_schedule"):
+        site_file_of([str(tmp_path / "plan.yaml")])
+
+
+def test_a_real_building(shared_data, tmp_path):
+    """Two trades of the ground floor of Schependomlaan."""
+    folder = shared_data / "schependomlaan"
+    area = {
+        "files": ["XELLA-Begane_grond.ifc", "YTONG-*.ifc", "GEELEN-Breedplaat_V1.ifc"],
+        "floor": -0.1,
+        "ceiling": 2.9,
+        "cache": str(tmp_path),
+        "stages": [{}, {}],
+        "rules": [{"file": "YTONG-*", "states": {2: "built"}}, {"states": {1: "built"}}],
+    }
+    (tmp_path / "plan.yaml").write_text(yaml.safe_dump({"areas": {"1": {"ifc": area}}}))
+    site_file, _ = site_file_of([str(tmp_path / "plan.yaml")])
+    ((_, build),) = areas(site_file, folder, 0)
+    site = build()
+    first, second = (len(kinds(site, stage)) for stage in (1, 2))
+    assert first > 100
+    assert second > first
+    assert 15 < site.extent.x1 - site.extent.x0 < 30
+    extent = site.extent
+    middle = np.array([(extent.x0 + extent.x1) / 2, (extent.y0 + extent.y1) / 2, 1.5])
+    around = np.column_stack((np.cos(np.arange(360)), np.sin(np.arange(360)), np.zeros(360)))
+    distances = Scene(site.stage_mesh(1).mesh).cast(middle, around).distances
+    assert np.isfinite(distances).mean() > 0.8
