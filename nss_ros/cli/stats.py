@@ -23,8 +23,15 @@ from nss_ros.dataset.bag_export import ground_truth_graph
 from nss_ros.dataset.figures import pair_figure, plan_figure, spatiotemporal_figure, write_figure
 from nss_ros.dataset.folder import PAIRS_NAME, DatasetFolder
 from nss_ros.dataset.pairs import read_pairs
+from nss_ros.dataset.ply import count_vertices
 from nss_ros.dataset.statistics import MIN_OVERLAP, dataset_tables
 from nss_ros.fragment import FragmentId
+from nss_ros.simulation.fragment_picture import (
+    fragment_picture,
+    normal_colours,
+    panorama_picture,
+)
+from nss_ros.simulation.picture import write_png
 from nss_ros.table import Table
 
 if TYPE_CHECKING:
@@ -45,7 +52,7 @@ def stats(
     """Print the tables of a dataset: areas, pairs, splits, graphs.
 
     The plots are the paper's: all pairs and selected pairs by overlap ratio, temporal change
-    ratio and complexity; and for each area its spots with the pairs that overlap.
+    ratio and complexity; for each area its spots with the pairs that overlap; and a fragment.
     """
     folder = DatasetFolder(dataset)
     with progress_bar(quiet=json) as progress:
@@ -72,6 +79,23 @@ def _write_figures(dataset: DatasetFolder, output: Path, ending: str) -> list[Pa
         path = output / f"{name}.{ending}"
         write_figure(path, figure)
         written.append(path)
+    return written + _write_fragment(dataset, output)
+
+
+def _write_fragment(dataset: DatasetFolder, output: Path) -> list[Path]:
+    """Pictures of the fragment with most points, and of its panorama if there is one."""
+    ids = dataset.fragment_ids()
+    if not ids:
+        return []
+    largest = max(ids, key=lambda id_: count_vertices(dataset.point_file(id_)))
+    columns = dataset.columns(largest)
+    images = {"fragment": fragment_picture(columns.points, normal_colours(columns.normals))}
+    if (depth := dataset.panorama(largest)) is not None:
+        images["panorama"] = panorama_picture(depth)
+    written = []
+    for name, image in images.items():
+        written.append(output / f"{name}_{largest}.png")
+        write_png(written[-1], image, colours=256)
     return written
 
 
