@@ -4,7 +4,7 @@ import pytest
 from nss_ros.config import RigConfig
 from nss_ros.geometry import from_yaw, tilt_angle, transform_points
 from nss_ros.simulation.element import Material
-from nss_ros.simulation.mesh import box, merge
+from nss_ros.simulation.mesh import Mesh, box, merge
 from nss_ros.simulation.rig import draw_pose, image_directions, image_rotations, scan
 from nss_ros.simulation.scene import Scene
 
@@ -31,6 +31,10 @@ def room():
 
 def distance_from_walls(points):
     return np.abs(np.concatenate((points - LOWER, points - UPPER), axis=1)).min(axis=1)
+
+
+def seen(scene, pose=POSE, config=EXACT, reach=None):
+    return scan(scene, pose, config, np.random.default_rng(0), reach)
 
 
 def test_an_exact_scan_lies_on_the_walls_in_the_sensor_frame(room):
@@ -151,3 +155,49 @@ def test_normals_face_the_sensor_and_triangles_are_those_that_were_hit(room):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     turned = returns.normals @ POSE[:3, :3].T
     np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", normals, turned)), 1, atol=1e-4)
+
+
+def test_a_longer_reach_adds_points_and_changes_none(room):
+    config = RigConfig(max_range=2.5)
+    near, far = seen(room, config=config), seen(room, config=config, reach=10.0)
+    assert len(far.points) > 1.2 * len(near.points)
+    again = far.within(2.5)
+    np.testing.assert_array_equal(again.points, near.points)
+    np.testing.assert_array_equal(again.normals, near.normals)
+    np.testing.assert_array_equal(again.triangles, near.triangles)
+
+
+def test_a_site_in_a_national_grid_is_seen_as_sharply(room):
+    offset = np.array([155_000.25, 463_000.5, 12.0])
+    far = Scene(Mesh(room.mesh.vertices + offset, room.mesh.triangles))
+    pose = POSE.copy()
+    pose[:3, 3] += offset
+    points = transform_points(pose, seen(far, pose).points)
+    assert distance_from_walls(points - offset).max() < 1e-4
+
+
+def test_normals_do_not_depend_on_which_way_the_mesh_is_wound():
+    wall = box((2.0, -10, -10), (3.0, 10, 10))
+    outward, inward = Scene(wall), Scene(Mesh(wall.vertices, wall.triangles[:, ::-1].copy()))
+    np.testing.assert_array_equal(seen(outward, np.eye(4)).normals, seen(inward, np.eye(4)).normals)
+
+
+def test_jitter_moves_depths_across_an_edge_but_not_pixels():
+    edge = Scene(merge([box((2, -9, -9), (3, 0, 9)), box((4, -9, -9), (5, 9, 9))]))
+    blur = EXACT.model_copy(update={"lateral_noise": 0.3})
+    sharp, blurred = (seen(edge, np.eye(4), config).points for config in (EXACT, blur))
+    # Of the level image straight ahead only.
+    ahead = [p[(np.abs(p[:, 1:]) < np.outer(p[:, 0], (0.5, 0.1))).all(1)] for p in (sharp, blurred)]
+    near = [points[points[:, 0] < 3] for points in ahead]
+    assert near[0][:, 1].max() < 0.001
+    assert 0.01 < near[1][:, 1].max() < 0.1
+    assert np.allclose(near[1][:, 0], 2, atol=1e-4)
+    width = RigConfig().image_width
+    column = (near[1][:, 1] / near[1][:, 0] / np.tan(np.radians(29)) + 1) / 2 * width - 0.5
+    assert np.abs(column - np.rint(column)).max() < 1e-2
+
+
+def test_an_empty_scene_gives_nothing():
+    returns = seen(Scene(merge([])))
+    assert returns.points.shape == returns.normals.shape == (0, 3)
+    assert returns.triangles.shape == returns.ranges.shape == (0,)
