@@ -3,8 +3,9 @@
     ./nss python benchmarks/simulation.py [--width M] [--depth M] [--stages N] [--workers N]
 
 A procedural floor is built, the spots of all stages are chosen, and all fragments are simulated
-and written as PLY files. Then the same rays are cast again by as many processes, and nothing but
-the casting is timed. The ratio is the time of the whole, times the processes, over that.
+and written as PLY files. In turns with that, the same rays are cast again by as many processes,
+and nothing but the casting is timed. The ratio is the time of the whole, times the processes,
+over that.
 """
 
 from __future__ import annotations
@@ -79,15 +80,14 @@ def measure(config: SiteConfig, workers: int) -> None:
     begin = time.perf_counter()
     spots = choose_spots(site, CONFIG, CONFIG.seed, workers)
     seconds["viewpoints of all stages"] = time.perf_counter() - begin
-    begin = time.perf_counter()
-    points = _write_all(site, spots, workers)
-    seconds["fragments, with their files"] = whole = time.perf_counter() - begin
-    calls = (
-        (site.stage_mesh(stage), [spot for spot in spots if spot.id.stage == stage][part::workers])
-        for stage in range(1, site.stages + 1)
-        for part in range(workers)
-    )
-    bare = sum(run(bare_seconds, calls, workers))
+    points, whole, bare = 0, 0.0, 0.0
+    for part in _parts(spots):  # in turns: the machine may do other work meanwhile
+        begin = time.perf_counter()
+        points += _write_all(site, part, workers)
+        whole += time.perf_counter() - begin
+        mesh = site.stage_mesh(part[0].id.stage)
+        bare += sum(run(bare_seconds, [(mesh, part[k::workers]) for k in range(workers)], workers))
+    seconds["fragments, with their files"] = whole
     seconds["bare ray casting, all processes"] = bare
     table = Table(
         "", "seconds", title=f"{config.width:g} x {config.depth:g} m, {workers} processes"
@@ -104,6 +104,16 @@ def measure(config: SiteConfig, workers: int) -> None:
     table.add_row("fragments per second", f"{len(spots) / whole:.1f}")
     table.add_row("whole / bare ray casting", f"{whole * workers / bare:.2f}")
     Console().print(table)
+
+
+def _parts(spots: list[Spot]) -> list[list[Spot]]:
+    """The spots in runs of one stage and at most 30."""
+    parts: list[list[Spot]] = []
+    for spot in spots:
+        if not parts or len(parts[-1]) == 30 or parts[-1][0].id.stage != spot.id.stage:
+            parts.append([])
+        parts[-1].append(spot)
+    return parts
 
 
 def _write_all(site: Site, spots: list[Spot], workers: int) -> int:
