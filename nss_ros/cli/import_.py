@@ -18,6 +18,7 @@ from nss_ros.dataset.challenge_folder import (
     read_folder,
     read_fragment,
 )
+from nss_ros.dataset.manifest import MANIFEST_NAME, read_manifest
 from nss_ros.fragment import Fragment
 from nss_ros.multiway.pose_graph import NodeStatus
 
@@ -55,6 +56,8 @@ def import_folder(
     bag. Ground truth goes to the topic ground_truth, which only the scorer reads.
     """
     challenge = read_folder(folder, graph, pairs)
+    if (folder / MANIFEST_NAME).exists():  # one of our own datasets, which says it itself
+        gravity_aligned = gravity_aligned or read_manifest(folder).gravity_aligned
     fragments = _Fragments(challenge, gravity_aligned, quiet=json)
     metadata = {"source": f"NSS challenge folder {folder.resolve().name}"}
     write_bag(

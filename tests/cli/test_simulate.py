@@ -111,6 +111,10 @@ def test_pairs_are_split_and_graphs_make_a_challenge_folder(made):
         fragment, dropped = read_fragment(id_, file, gravity_aligned=True)
         assert dropped == 0
         assert np.array_equal(fragment.points, DatasetFolder(dataset).fragment(id_).points)
+    imported = run_json("import", dataset, "-o", dataset.with_name("imported"))
+    log = read_log(dataset.with_name("imported"))
+    assert len(log.pairs) == imported["pairs"] > 0
+    assert all(fragment.gravity_aligned for fragment in log.fragments.values())
     whole = run_json(
         "graphs", dataset, "--kind", "multiway", "--split", "cross_area",
         "-s", "dataset.graphs.min_component=3",
