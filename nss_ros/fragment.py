@@ -139,8 +139,8 @@ def occupied_voxels(
     # Several times faster than sorting.
     occupied = np.zeros(size, dtype=bool)
     occupied[keys] = True
-    numbers = np.cumsum(occupied, dtype=np.int64)
-    return numbers[keys] - 1, int(numbers[-1])
+    numbers = np.cumsum(occupied, dtype=np.int32)
+    return numbers.take(keys).astype(np.int64) - 1, int(numbers[-1])
 
 
 def voxel_means(
