@@ -75,13 +75,17 @@ class IfcArea(Section):
         "", description="Shell pattern of the storey's name; none: that of most elements"
     )
     floor: float | None = Field(
-        None, description="Height of the floor in the model, metres; none: the storey's"
+        None,
+        description="Height of the floor in the model, metres; none: that of the largest level "
+        "surface near the storey's",
     )
     ceiling: float | None = Field(
         None, description="Height up to which elements count, metres; none: the next storey's"
     )
     margin: Positive = Field(
-        0.6, description="Elements that reach this far below or above still count, metres"
+        0.6,
+        description="Slabs this far below or above still count, and what goes on farther is cut, "
+        "metres",
     )
     stages: list[IfcStage] = Field([], description="Stages in order; none: by the order of works")
     rules: list[IfcRule] = Field(
@@ -121,6 +125,7 @@ class IfcFacts:
         storey: name of the storey that contains it, empty for none.
         properties: by `Set.Name`.
         finish: of its latest task.
+        materials: names of its materials.
     """
 
     file: str
@@ -130,6 +135,7 @@ class IfcFacts:
     storey: str = ""
     properties: Mapping[str, str] = field(default_factory=dict)
     finish: date | None = None
+    materials: tuple[str, ...] = ()
 
 
 # The usual order of works.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from fnmatch import fnmatch
 from functools import cache
@@ -33,7 +33,7 @@ from nss_ros.simulation.ifc_tessellation import (
     open_ifc,
     tessellate,
 )
-from nss_ros.simulation.mesh import Mesh, box
+from nss_ros.simulation.mesh import Mesh, merge
 from nss_ros.simulation.site import Rectangle, Site
 
 Report = Callable[[str, int, int], None]
@@ -45,12 +45,20 @@ _IMMATERIAL = (
     *("IfcStructuralActivity", "IfcPositioningElement"),
 )
 _NO_BODY = ("Axis", "FootPrint", "Plan", "Annotation", "Box", "Profile", "Reference", "CoG")
-_METAL_CLASSES = ("IfcFlowSegment", "IfcFlowFitting", "IfcReinforcingElement")
+_METAL_CLASSES = (
+    *("IfcFlowSegment", "IfcFlowFitting", "IfcReinforcingElement", "IfcMechanicalFastener"),
+)
 _METAL_WORDS = ("steel", "staal", "stahl", "acier", "hea", "heb", "ipe", "unp", "shs")
 _GLASS_WORDS = ("glass", "glas", "glazing", "verre", "beglazing")
 _TRANSPARENT = 0.4
 _STOREY_HEIGHT = 3.5
+_LEAST_INSIDE = 0.15  # of an element that belongs to a storey, metres
+_GAP = 3.0  # in a building's outline that an added floor bridges, metres
 _EDGE = 0.3
+_APRON = 1.2  # ground around the lowest storey, over which one gets from door to door, metres
+_LOWEST_STOREY = 0.1  # largest share of all elements below it, as foundations
+_BELOW = 1.0  # the floor, metres
+_GIVEN_FLOOR = 0.1
 _FLOOR_SEARCH = 0.5
 _LEVEL = 0.9
 _GROUND_SHARE = 0.2
@@ -104,22 +112,31 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
         parts += _parts(path, entities, made)
         skipped += _missing(path, entities, made)
     schedule = read_schedule(folder / area.schedule) if area.schedule else {}
+    if not (storeys or area.storey or not parts):
+        lowest = float(min(part.mesh.vertices[:, 2].min() for part in parts))
+        storeys = [_Storey("", lowest, len(parts))]
     floor, ceiling, storey = _heights(name, area, storeys)
-    parts = [part for part in parts if _reaches(part.mesh, floor, ceiling, area.margin)]
+    centres = np.array([part.mesh.vertices[:, 2].mean() for part in parts])
+    is_lowest = (centres < floor - _BELOW).sum() <= _LOWEST_STOREY * len(parts)
+    parts = [part for part in parts if _belongs(part.mesh, floor, ceiling, area.margin)]
     if not parts:
         raise InputError(
             f"Area {name} has no element between the heights {floor:g} and {ceiling:g} m: give "
             f"another storey ({_names(storeys)}), or floor and ceiling."
         )
-    floor = _floor(parts, floor)
+    floor = _floor(parts, floor) if area.floor is None else floor
     corner = np.floor(np.min([part.mesh.vertices.min(axis=0) for part in parts], axis=0))
     origin = np.array([corner[0], corner[1], floor])
-    elements = _elements(parts, area, schedule, origin)
+    low, high = -area.margin, ceiling - floor + area.margin
+    elements = tuple(_cut(each, low, high) for each in _elements(parts, area, schedule, origin))
+    elements = tuple(each for each in elements if len(each.mesh.triangles))
     _check_stages(name, elements, len(default_plan(area)[0]))
     extent = _extent(elements)
     stages, _ = default_plan(area)
-    if area.ground and _floor_share(elements, extent) < _GROUND_SHARE:
-        elements = (*elements, _ground(extent, len(stages)))
+    outline = _outline(elements, _APRON if is_lowest else _EDGE)
+    if area.ground and _floor_share(elements, outline, area.floor is not None) < _GROUND_SHARE:
+        elements = (*elements, _ground(outline, len(stages)))
+        extent = _extent(elements)
     return Site(
         name,
         len(stages),
@@ -155,7 +172,9 @@ def _storeys(model: Any) -> list[_Storey]:
     return [
         _Storey(
             str(storey.Name or ""),
-            float(get_local_placement(storey.ObjectPlacement)[2, 3] * scale),
+            # Many files leave the placement at zero and give the attribute.
+            float(get_local_placement(storey.ObjectPlacement)[2, 3] or storey.Elevation or 0.0)
+            * scale,
             sum(len(relation.RelatedElements) for relation in storey.ContainsElements or ()),
         )
         for storey in model.by_type("IfcBuildingStorey")
@@ -206,7 +225,7 @@ def _parts(path: Path, entities: Sequence[Any], made: Tessellation) -> Iterator[
 
 
 def _facts(path: Path, entity: Any) -> IfcFacts:
-    from ifcopenshell.util.element import get_container, get_psets
+    from ifcopenshell.util.element import get_container, get_materials, get_psets
 
     container = get_container(entity)
     sets = get_psets(entity)
@@ -222,6 +241,7 @@ def _facts(path: Path, entity: Any) -> IfcFacts:
             for key, value in values.items()
         },
         finish=_finish(entity),
+        materials=tuple(str(each.Name) for each in get_materials(entity) if each.Name),
     )
 
 
@@ -237,14 +257,42 @@ def _classes(name: str, schema: str) -> tuple[str, ...]:
 
 
 def _finish(entity: Any) -> date | None:
-    """When the last of the tasks that an element is assigned to is finished."""
-    days = []
-    for relation in entity.HasAssignments or ():
-        if relation.is_a("IfcRelAssignsToProcess"):
-            time = getattr(relation.RelatingProcess, "TaskTime", None)
-            if time is not None:
-                days.append(parse_date(time.ActualFinish or time.ScheduleFinish))
+    """When the last of the tasks on an element, or on what it is a part of, is finished."""
+    from ifcopenshell.util.element import get_aggregate
+
+    days: list[date | None] = []
+    whole, seen = entity, set()
+    while whole is not None and whole.id() not in seen:
+        seen.add(whole.id())
+        days += [_task_finish(task) for task in _tasks(whole)]
+        whole = get_aggregate(whole)
     return max((day for day in days if day is not None), default=None)
+
+
+def _tasks(entity: Any) -> Iterator[Any]:
+    """Tasks that an element is given to, and tasks whose outcome it is."""
+    for relation in getattr(entity, "HasAssignments", None) or ():
+        if relation.is_a("IfcRelAssignsToProcess"):
+            yield relation.RelatingProcess
+    for relation in getattr(entity, "ReferencedBy", None) or ():
+        if relation.is_a("IfcRelAssignsToProduct"):
+            yield from (each for each in relation.RelatedObjects if each.is_a("IfcTask"))
+
+
+def _task_finish(task: Any) -> date | None:
+    """The finish of a task: in IFC4 of its time, in IFC2X3 of a control of it."""
+    times = [getattr(task, "TaskTime", None)]
+    times += [getattr(r, "TimeForTask", None) for r in getattr(task, "HasAssignments", None) or ()]
+    finishes = [time.ActualFinish or time.ScheduleFinish for time in times if time is not None]
+    return max((day for day in map(_task_day, finishes) if day is not None), default=None)
+
+
+def _task_day(value: Any) -> date | None:
+    """A day from ISO text, or from the calendar dates of IFC2X3."""
+    calendar = getattr(value, "DateComponent", value)
+    if hasattr(calendar, "YearComponent"):
+        return date(calendar.YearComponent, calendar.MonthComponent, calendar.DayComponent)
+    return parse_date(value)
 
 
 def _missing(path: Path, entities: Sequence[Any], made: Tessellation) -> list[str]:
@@ -278,9 +326,33 @@ def _names(storeys: Sequence[_Storey]) -> str:
     return ", ".join(names) or "no storeys"
 
 
-def _reaches(mesh: Mesh, floor: float, ceiling: float, margin: float) -> bool:
-    heights = mesh.vertices[:, 2]
-    return bool(heights.max() > floor - margin and heights.min() < ceiling + margin)
+def _belongs(mesh: Mesh, floor: float, ceiling: float, margin: float) -> bool:
+    """Whether an element stands or hangs in a storey, or is the slab below or above it.
+
+    Walls and columns of the storeys below and above, which end or begin at the slabs, are not.
+    """
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    inside = min(high[2], ceiling) - max(low[2], floor)
+    height = high[2] - low[2]
+    if inside > 0 and inside >= min(_LEAST_INSIDE, height / 2):
+        return True
+    near = high[2] > floor - margin and low[2] < ceiling + margin
+    return bool(near and (high - low)[:2].min() > 2 * height)
+
+
+def _cut(element: Element, low: float, high: float) -> Element:
+    """An element without what goes on in the storeys below and above."""
+    from trimesh.intersections import slice_faces_plane
+
+    heights = element.mesh.vertices[element.mesh.triangles, 2]
+    if heights.min() >= low and heights.max() <= high:
+        return element
+    vertices, triangles = element.mesh.vertices, element.mesh.triangles.astype(np.int64)
+    for up, level in ((1, low), (-1, high)):
+        if len(triangles):
+            cut = slice_faces_plane(vertices, triangles, (0, 0, up), (0, 0, level))
+            vertices, triangles = cut[0], cut[1]
+    return replace(element, mesh=Mesh(np.asarray(vertices), triangles.astype(np.int32)))
 
 
 def _floor(parts: Sequence[_Part], elevation: float) -> float:
@@ -321,10 +393,7 @@ def _elements(
 
 
 def _with_finish(facts: IfcFacts, finish: date) -> IfcFacts:
-    return IfcFacts(
-        facts.file, facts.classes, facts.name, facts.global_id, facts.storey, facts.properties,
-        finish,
-    )  # fmt: skip
+    return replace(facts, finish=finish)
 
 
 def _elements_of(part: _Part, shape: Shape) -> Iterator[Element]:
@@ -347,7 +416,8 @@ def _material(facts: IfcFacts) -> Material:
     ):
         return Material.GLASS
     metal = any(name in facts.classes for name in _METAL_CLASSES)
-    return Material.METAL if metal or _has_word(facts.name, _METAL_WORDS) else Material.MATT
+    metal = metal or _has_word(" ".join((facts.name, *facts.materials)), _METAL_WORDS)
+    return Material.METAL if metal else Material.MATT
 
 
 def _has_word(text: str, words: tuple[str, ...]) -> bool:
@@ -372,15 +442,46 @@ def _extent(elements: Sequence[Element]) -> Rectangle:
     return Rectangle(float(low[0]), float(low[1]), float(high[0]), float(high[1]))
 
 
-def _floor_share(elements: Sequence[Element], extent: Rectangle) -> float:
-    """Area of level surfaces near height 0 at stage 1, against the extent."""
+def _outline(elements: Sequence[Element], edge: float) -> Any:
+    """Outline of a storey seen from above, its gaps closed and its holes filled, as polygons.
+
+    Args:
+        elements: of the storey.
+        edge: how far the outline lies outside of them, metres.
+    """
+    import shapely
+
+    hulls = [shapely.MultiPoint(element.mesh.vertices[:, :2]).convex_hull for element in elements]
+    with np.errstate(divide="ignore", invalid="ignore"):  # GEOS meets them and copes
+        covered = shapely.union_all([hull.buffer(0.01, quad_segs=1) for hull in hulls])
+        closed = covered.buffer(_GAP / 2, join_style="mitre").buffer(-_GAP / 2, join_style="mitre")
+    filled = [shapely.Polygon(piece.exterior) for piece in shapely.get_parts(closed)]
+    return shapely.union_all(filled).buffer(edge, join_style="mitre").simplify(0.02)
+
+
+def _floor_share(elements: Sequence[Element], outline: Any, is_given: bool) -> float:
+    """Area of level surfaces near height 0 at stage 1, against that of the outline.
+
+    Where the height is given, only surfaces at that height are the floor: a filigree slab, say,
+    is not before it is poured.
+    """
     heights, sizes = _level_surfaces([e.mesh for e in elements if 1 in e.stages])
-    return float(sizes[np.abs(heights) < _EDGE].sum() / max(extent.area, 1e-9))
+    near = np.abs(heights) < (_GIVEN_FLOOR if is_given else _EDGE)
+    return float(sizes[near].sum() / max(outline.area, 1e-9))
 
 
-def _ground(extent: Rectangle, stages: int) -> Element:
-    slab = box(
-        (extent.x0 - _EDGE, extent.y0 - _EDGE, -_GROUND_THICKNESS),
-        (extent.x1 + _EDGE, extent.y1 + _EDGE, 0.0),
-    )
-    return Element("ground", frozenset(range(1, stages + 1)), slab, name="added floor")
+def _ground(outline: Any, stages: int) -> Element:
+    """A slab under a storey, and not around it, where nobody would put a tripod."""
+    import shapely
+    from trimesh.creation import extrude_polygon
+
+    pieces = [
+        extrude_polygon(piece, _GROUND_THICKNESS, engine="earcut")
+        for piece in shapely.get_parts(outline)
+    ]
+    lowered = np.array([0.0, 0.0, -_GROUND_THICKNESS])
+    slabs = [
+        Mesh(np.asarray(piece.vertices) + lowered, np.asarray(piece.faces, dtype=np.int32))
+        for piece in pieces
+    ]
+    return Element("ground", frozenset(range(1, stages + 1)), merge(slabs), name="added floor")

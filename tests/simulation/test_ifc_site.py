@@ -6,9 +6,11 @@ import ifcopenshell
 import ifcopenshell.api.aggregate
 import ifcopenshell.api.context
 import ifcopenshell.api.geometry
+import ifcopenshell.api.material
 import ifcopenshell.api.project
 import ifcopenshell.api.pset
 import ifcopenshell.api.root
+import ifcopenshell.api.sequence
 import ifcopenshell.api.spatial
 import ifcopenshell.api.unit
 import numpy as np
@@ -227,6 +229,76 @@ def test_a_model_without_floor_gets_one(tmp_path, build):
     assert "ground" in {element.kind for element in site.elements}
     bare = build(name, ground=False)
     assert "ground" not in {element.kind for element in bare.elements}
+
+
+def test_other_storeys_are_left_out_and_what_goes_on_is_cut(tmp_path, build):
+    model = Model().house()
+    model.add("IfcWall", "wall above", (0, 0, 3.0), (8, 0.2, 2.8))
+    model.add("IfcWall", "wall below", (0, 0, -3.0), (8, 0.2, 2.8))
+    model.add("IfcColumn", "through", (2, 2, -3.0), (0.3, 0.3, 9.0))
+    site = build(model.write(tmp_path / "house.ifc"), floor=0.0, ceiling=3.0, **STAGED)
+    names = kinds(site, 1)
+    assert {"through", "floor", "upper slab"} <= set(names)
+    assert not {"wall above", "wall below"} & set(names)
+    (column,) = [element for element in site.elements if element.name == "through"]
+    assert column.mesh.vertices[:, 2].min() == pytest.approx(-0.6)
+    assert column.mesh.vertices[:, 2].max() == pytest.approx(3.6)
+
+
+def test_an_added_floor_lies_under_the_building_only_and_at_the_height_given(tmp_path, build):
+    model = Model()
+    model.add("IfcSlab", "filigree slab", (0, 0, -0.25), (4, 12, 0.06))
+    for corner, size in [
+        ((0, 0, 0), (12, 0.2, 2.6)), ((0, 0, 0), (0.2, 12, 2.6)), ((12, 0, 0), (0.2, 4, 2.6)),
+        ((4, 4, 0), (8, 0.2, 2.6)), ((4, 4, 0), (0.2, 8, 2.6)), ((0, 12, 0), (4, 0.2, 2.6)),
+    ]:  # fmt: skip
+        model.add("IfcWall", "wall", corner, size)
+    site = build(model.write(tmp_path / "angle.ifc"), floor=0.0, ceiling=3.0)
+    scene = Scene(site.stage_mesh(1).mesh)
+    down = np.array([(0.0, 0.0, -1.0)])
+    # There is none in the angle, but a strip along the walls of the lowest storey.
+    for place, distance in (((2, 2, 1), 1.0), ((13, 2, 1), 1.0), ((9, 9, 1), np.inf)):
+        assert scene.cast(np.array(place), down).distances[0] == pytest.approx(distance)
+
+
+def test_steel_is_metal_by_its_material(tmp_path, build):
+    model = Model().house()
+    beam = model.add("IfcBeam", "L12", (1, 1, 2.5), (3, 0.2, 0.2))
+    steel = ifcopenshell.api.material.add_material(model.file, name="STEEL/S235JR")
+    ifcopenshell.api.material.assign_material(model.file, products=[beam], material=steel)
+    site = build(model.write(tmp_path / "house.ifc"), **STAGED)
+    (found,) = [element for element in site.elements if element.name == "L12"]
+    assert found.material is Material.METAL
+
+
+@pytest.mark.parametrize("outcome", [True, False])
+def test_tasks_in_the_file_decide(tmp_path, build, outcome):
+    model = Model().house()
+    late = model.add("IfcWall", "late", (2, 2, 0), (1, 0.1, 2.0))
+    task = ifcopenshell.api.sequence.add_task(model.file, name="masonry")
+    time = ifcopenshell.api.sequence.add_task_time(model.file, task=task)
+    time.ScheduleFinish = "2026-03-01T17:00:00"
+    if outcome:
+        ifcopenshell.api.sequence.assign_product(
+            model.file, relating_product=late, related_object=task
+        )
+    else:
+        ifcopenshell.api.sequence.assign_process(
+            model.file, relating_process=task, related_object=late
+        )
+    stages = [{"date": "2026-02-01"}, {"date": "2026-04-01"}]
+    rules = [{"name": "late", "by_schedule": True}, {"states": {1: "built"}}]
+    site = build(model.write(tmp_path / "house.ifc"), stages=stages, rules=rules)
+    (element,) = [element for element in site.elements if element.name == "late"]
+    assert element.stages == {2}
+
+
+def test_a_model_without_storeys_begins_at_its_lowest_point(tmp_path, build):
+    model = Model().house()
+    ifcopenshell.api.root.remove_product(model.file, product=model.storey)
+    site = build(model.write(tmp_path / "house.ifc"), **STAGED)
+    assert {"floor", "north", "upper slab"} <= set(kinds(site, 1))
+    assert site.source["origin"][2] == pytest.approx(0.0)
 
 
 def test_what_cannot_be_built_is_refused(tmp_path, build):
