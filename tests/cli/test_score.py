@@ -1,4 +1,7 @@
+import csv
+import io
 import json
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -96,3 +99,70 @@ def test_arguments_that_do_not_fit(room_bag, tmp_path):
         score([tmp_path], points=tmp_path)
     with pytest.raises(InputError, match="bag holds no answers"):
         score([room_bag])
+
+
+def test_several_logs_stand_side_by_side(room_bag, record, tmp_path):
+    first = record(room_bag)
+    second = first.rename(tmp_path / "first")
+    logs = second, record(room_bag, noise=0.3)
+    text = run(*logs, "--table", "pairwise")
+    assert "first" in text
+    assert "best of five *" in text
+    result = json.loads(run(*logs, "--json", "--resamplings", 0))
+    assert [each["overall"]["pairwise"]["all"]["edges"] for each in result["logs"]] == [15, 15]
+    together = json.loads(run(*logs, "--together", "--json"))
+    assert together["overall"]["pairwise"]["all"]["edges"] == 30
+
+
+def test_formats(room_bag, record):
+    log = record(room_bag)
+    rows = list(csv.DictReader(io.StringIO(run(log, "--format", "csv", "--table", "map"))))
+    assert [(row["graph"], row["placed"]) for row in rows] == [("room", "6")]
+    assert run(log, "--format", "csv", "--table", "map", "--table", "multiway").startswith(
+        "# Map\n"
+    )
+    assert run(log, "--format", "markdown").startswith("**Pairwise: relative transforms**\n")
+    assert run(log, "--format", "latex", "--table", "intervals").count("tabular") == 2
+    with pytest.raises(InputError, match="no table 'maps' here; there are pairwise, multiway, map"):
+        score([log], table=["maps"])
+
+
+def test_intervals_are_seeded(room_bag, record):
+    log = record(room_bag, noise=0.05)
+    first, second, other = (
+        json.loads(run(log, "--json", "--seed", seed))["headline"] for seed in (0, 0, 1)
+    )
+    assert first == second != other
+    assert first["rte_all"]["low"] < first["rte_all"]["value"] < first["rte_all"]["high"]
+
+
+@pytest.mark.parametrize("gate", ["recall_different_stage < 0.9", "unanswered > 3"])
+def test_gates(room_bag, record, gate):
+    good, arguments = record(room_bag), ("--fail-if", gate, "--resamplings", "0")
+    run(good, *arguments)
+    shutil.rmtree(good)
+    bad = record(room_bag, noise=1.0, unanswered=4)
+    result = CliRunner().invoke(app, [str(bad), *arguments])
+    assert result.exit_code == 3
+    assert f"{bad}: {gate} (" in result.stderr.replace("\n", "")
+    assert "Pairwise" in result.stdout
+
+
+def test_gates_that_cannot_be_judged(room_bag, record):
+    with pytest.raises(InputError, match=r"names no figure .* recall_all"):
+        score([room_bag], fail_if=["recal < 0.9"])
+    with pytest.raises(InputError, match="has no overlap_auroc"):
+        score([record(room_bag)], fail_if=["overlap_auroc < 0.9"])
+    with pytest.raises(InputError, match="--fail-if and --together belong to logs"):
+        score(None, room_bag, room_bag, fail_if=["recall_all < 0.9"])
+
+
+@pytest.mark.parametrize("width", [40, 80, 120, 200])
+def test_no_number_is_cut_however_narrow_the_terminal(room_bag, record, width):
+    log = record(room_bag)
+    whole = run(log, "--format", "csv", "--table", "pairwise")
+    result = CliRunner().invoke(app, [str(log), "--table", "pairwise"], env={"COLUMNS": str(width)})
+    assert max(len(line) for line in result.stdout.splitlines()) <= width
+    for row in csv.DictReader(io.StringIO(whole)):
+        for heading, form in (("RTE (m)", ".3f"), ("RRE of all (deg)", ".2f"), ("RMSE (m)", ".3f")):
+            assert format(float(row[heading]), form) in result.stdout.split()
