@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from nss_ros.benchmark.metrics import Floats
 
-_BLOCK = 2**22
+_BLOCK = 2**20  # weights in a block
 
 
 @dataclass(frozen=True, slots=True)

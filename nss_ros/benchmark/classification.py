@@ -90,7 +90,17 @@ Counts = tuple[Floats, Floats]
 to everything."""
 
 
-def threshold_counts(positive: NDArray[np.bool_], score: Floats, weights: Floats) -> Counts:
+Ranking = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Order of samples from the highest score, (n,), and where in it each score occurs last."""
+
+
+def ranking(score: Floats) -> Ranking:
+    """The ranking of samples by score, (n,) finite."""
+    order = np.argsort(-score, kind="stable")
+    return order, np.append(np.flatnonzero(np.diff(score[order])), len(score) - 1)
+
+
+def threshold_counts(positive: NDArray[np.bool_], ranked: Ranking, weights: Floats) -> Counts:
     """True and false positives of weighted samples at every threshold, highest first.
 
     With `auroc` and `average_precision` this does for a thousand resamplings at once what
@@ -98,11 +108,10 @@ def threshold_counts(positive: NDArray[np.bool_], score: Floats, weights: Floats
 
     Args:
         positive: (n,) the truth.
-        score: (n,) finite.
+        ranked: the samples by score.
         weights: (k, n), one sample a row.
     """
-    order = np.argsort(-score, kind="stable")
-    last = np.append(np.flatnonzero(np.diff(score[order])), len(score) - 1)
+    order, last = ranked
     drawn = weights[:, order]
     everything = np.cumsum(drawn, axis=1)[:, last]
     drawn *= positive[order]

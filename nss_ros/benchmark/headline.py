@@ -20,6 +20,7 @@ from nss_ros.benchmark.calibration import expected_calibration_error
 from nss_ros.benchmark.classification import (
     auroc,
     average_precision,
+    ranking,
     swapped,
     threshold_counts,
 )
@@ -293,11 +294,12 @@ def _answer_figures(answers: Answers) -> Callable[[Floats], Values]:
     known = np.flatnonzero(np.isfinite(answers.confidence) & np.isfinite(answers.rte))
     right = successes(answers.rre[known], answers.rte[known])
     confidence = np.clip(answers.confidence[known], 0, 1)
+    by_probability, by_confidence = ranking(probability), ranking(confidence)
 
     def figures(weights: Floats) -> Values:
         values: Values = {}
         if len(judged):
-            counts = threshold_counts(overlaps, probability, weights[:, judged])
+            counts = threshold_counts(overlaps, by_probability, weights[:, judged])
             positive = average_precision(counts)
             values["overlap_average_precision"] = positive
             values["overlap_mean_average_precision"] = (
@@ -307,7 +309,7 @@ def _answer_figures(answers: Answers) -> Callable[[Floats], Values]:
         if len(known):
             chosen = weights[:, known]
             values["confidence_error"] = expected_calibration_error(right, confidence, chosen)
-            values["confidence_auroc"] = auroc(threshold_counts(right, confidence, chosen))
+            values["confidence_auroc"] = auroc(threshold_counts(right, by_confidence, chosen))
         return values
 
     return figures

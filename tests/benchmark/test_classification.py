@@ -8,6 +8,7 @@ from nss_ros.benchmark.classification import (
     auroc,
     average_precision,
     classify,
+    ranking,
     swapped,
     threshold_counts,
 )
@@ -24,7 +25,7 @@ samples = st.lists(
 def test_weighted_figures_are_those_of_scikit_learn(rows):
     truth, score, times = (np.array(column) for column in zip(*rows, strict=True))
     both = times[truth].sum() > 0 and times[~truth].sum() > 0
-    counts = threshold_counts(truth, score, np.stack((times, times)).astype(float))
+    counts = threshold_counts(truth, ranking(score), np.stack((times, times)).astype(float))
     for value, other, expected in (
         (auroc(counts), truth, roc_auc_score),
         (average_precision(counts), truth, average_precision_score),
