@@ -20,7 +20,14 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11",
     packages=find_packages(include=["nss_ros", "nss_ros.*"]),
-    package_data={"nss_ros": ["py.typed", "interfaces/*.msg", "simulation/sites/*.yaml"]},
+    package_data={
+        "nss_ros": [
+            "py.typed",
+            "interfaces/*.msg",
+            "simulation/sites/*.yaml",
+            "benchmark/paper.yaml",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
