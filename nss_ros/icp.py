@@ -167,7 +167,7 @@ def _linearize(
     else:
         weights = (kernel**2 / (kernel**2 + residuals**2)) ** 2
         weighted = jacobian * weights[:, None]
-        mean_square = weights * residuals**2 / max(float(np.mean(weights)), 1e-12)
+        mean_square = weights * residuals**2 * (len(weights) / max(float(weights.sum()), 1e-12))
     system = _System(
         hessian=np.einsum("ni,nj->ij", weighted, jacobian),
         gradient=np.einsum("ni,n->i", weighted, residuals),

@@ -13,6 +13,7 @@ from nss_ros.config.dataset import (
     SelectionConfig,
     SplitConfig,
 )
+from nss_ros.config.ground_truth import AlignmentConfig, RefinementConfig
 from nss_ros.config.loading import NssConfig, load_config, validated, write_config
 from nss_ros.config.run import (
     FpfhConfig,
@@ -29,6 +30,7 @@ from nss_ros.config.simulation import RigConfig, SimulationConfig, ViewpointConf
 from nss_ros.config.site import SiteConfig, WingConfig
 
 __all__ = [
+    "AlignmentConfig",
     "DatasetConfig",
     "FpfhConfig",
     "GraphConfig",
@@ -39,6 +41,7 @@ __all__ = [
     "PlayerConfig",
     "PoseGraphConfig",
     "RecorderConfig",
+    "RefinementConfig",
     "RegistrationConfig",
     "RegistrationNodeConfig",
     "RigConfig",

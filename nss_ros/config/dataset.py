@@ -1,4 +1,4 @@
-"""Settings of datasets: pairs, splits and graphs."""
+"""Settings of datasets: pairs, splits, graphs and ground truth."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from nss_ros.config.ground_truth import AlignmentConfig, RefinementConfig
 from nss_ros.config.section import Fraction, Positive, Section
 
 
@@ -131,3 +132,5 @@ class DatasetConfig(Section):
     pairs: PairConfig = PairConfig()
     splits: SplitConfig = SplitConfig()
     graphs: GraphConfig = GraphConfig()
+    alignment: AlignmentConfig = AlignmentConfig()
+    refinement: RefinementConfig = RefinementConfig()
