@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from nss_ros import __version__
+from nss_ros.cli.align import align
 from nss_ros.cli.compare import compare_logs
 from nss_ros.cli.demo import demo
 from nss_ros.cli.export import export
@@ -17,6 +18,7 @@ from nss_ros.cli.import_ import import_folder
 from nss_ros.cli.map import map_
 from nss_ros.cli.pairs import pairs
 from nss_ros.cli.picture import picture
+from nss_ros.cli.refine import refine
 from nss_ros.cli.score import score
 from nss_ros.cli.settings import config, methods
 from nss_ros.cli.simulate import simulate
@@ -43,6 +45,8 @@ app.command("pairs")(pairs)
 app.command("graphs")(graphs)
 app.command("stats")(stats)
 app.command("picture")(picture)
+app.command("refine")(refine)
+app.command("align")(align)
 app.command("methods")(methods)
 app.command("config")(config)
 

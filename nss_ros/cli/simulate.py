@@ -102,6 +102,9 @@ def _generate(
         def scanned(fragment: FragmentId) -> None:
             progress.update(scanning, description=f"fragments of area {fragment.area}", advance=1)
 
+        def left_out(spot: FragmentId) -> None:
+            progress.console.print(f"{spot} sees nothing and is left out.", style="yellow")
+
         return generate(
             output,
             areas(site_file, folder, settings.simulation.seed, read),
@@ -110,6 +113,7 @@ def _generate(
             labels,
             workers,
             scanned,
+            left_out,
         )
 
 

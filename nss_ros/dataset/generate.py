@@ -27,6 +27,7 @@ def generate(
     labels: bool = True,
     workers: int = 0,
     report: Callable[[FragmentId], None] | None = None,
+    left_out: Callable[[FragmentId], None] | None = None,
 ) -> DatasetFolder:
     """Scan sites into a dataset folder; a folder that was cut short is completed.
 
@@ -41,6 +42,7 @@ def generate(
         labels: write `element` and `change` of every point.
         workers: processes; 0: one per core.
         report: called after each fragment that was made.
+        left_out: called for each spot that sees nothing and so gives no fragment.
 
     Raises:
         InputError: the folder holds something else or a dataset of other settings, or a stage has
@@ -58,7 +60,7 @@ def generate(
     writer = DatasetWriter(path, manifest, panoramas=config.panorama)
     for name, build in areas:
         if not writer.area_complete(name):
-            _generate_area(writer, build(), config, labels, workers, report)
+            _generate_area(writer, build(), config, labels, workers, report, left_out)
     writer.finish()
     return DatasetFolder(path)
 
@@ -86,9 +88,11 @@ def _generate_area(
     labels: bool,
     workers: int,
     report: Callable[[FragmentId], None] | None,
+    left_out: Callable[[FragmentId], None] | None,
 ) -> None:
     writer.begin_area(site_record(site), site.source)
-    for scan in simulate_site(site, config, config.seed, workers, writer.done(site.area)):
+    done = writer.done(site.area)
+    for scan in simulate_site(site, config, config.seed, workers, done, report=left_out):
         fragment = scan.fragment
         columns = FragmentColumns(fragment.points, scan.normals)
         if labels:

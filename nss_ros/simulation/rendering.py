@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.simulation.mesh import Mesh
+from nss_ros.simulation.scene import raycaster
 
 Array = NDArray[np.float64]
 
@@ -45,20 +46,7 @@ class Renderer:
     """
 
     def __init__(self, mesh: Mesh, colours: Array, cut: float = float("inf")) -> None:
-        import open3d as o3d  # costs seconds
-
-        self._tensor = o3d.core.Tensor.from_numpy
-        # Built by one thread: else the number of threads decides among coincident surfaces.
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        # Embree is of single precision, so sites in a national grid are moved to the origin.
-        self._offset = np.zeros(3)
-        if len(mesh.triangles):
-            used = mesh.vertices[np.unique(mesh.triangles)]
-            self._offset = np.rint((used.min(axis=0) + used.max(axis=0)) / 2)
-            self._scene.add_triangles(
-                self._tensor((mesh.vertices - self._offset).astype(np.float32)),
-                self._tensor(mesh.triangles.astype(np.uint32)),
-            )
+        self._tensor, self._scene, self._offset = raycaster(mesh)
         self._colours = np.asarray(colours, dtype=np.float64)
         self._cut = cut
 

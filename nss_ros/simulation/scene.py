@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,30 @@ class Hits:
     triangles: NDArray[np.uint32]
 
 
+def raycaster(mesh: Mesh) -> tuple[Any, Any, NDArray[np.float64]]:
+    """What casts rays against a mesh, one that may be empty.
+
+    Built by one thread: else the number of threads decides among coincident surfaces.
+
+    Returns:
+        What makes tensors of arrays, the RaycastingScene, and the origin (3,) of its coordinates
+        in the mesh's frame: Embree is of single precision, so sites in a national grid are moved.
+    """
+    import open3d as o3d  # costs seconds
+
+    tensor = o3d.core.Tensor.from_numpy
+    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    offset = np.zeros(3)
+    if len(mesh.triangles):
+        used = mesh.vertices[np.unique(mesh.triangles)]
+        offset = np.rint((used.min(axis=0) + used.max(axis=0)) / 2)
+        scene.add_triangles(
+            tensor((mesh.vertices - offset).astype(np.float32)),
+            tensor(mesh.triangles.astype(np.uint32)),
+        )
+    return tensor, scene, offset
+
+
 class Scene:
     """A mesh to be looked at.
 
@@ -42,22 +67,10 @@ class Scene:
     """
 
     def __init__(self, mesh: Mesh, materials: NDArray[np.uint8] | None = None) -> None:
-        import open3d as o3d  # costs seconds
-
         matt = np.full(len(mesh.triangles), Material.MATT, dtype=np.uint8)
         self.mesh = mesh
         self.materials = matt if materials is None else materials
-        self._tensor = o3d.core.Tensor.from_numpy
-        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        # Embree is of single precision, so sites in a national grid are moved to the origin.
-        self._offset = np.zeros(3)
-        if len(mesh.triangles):
-            used = mesh.vertices[np.unique(mesh.triangles)]
-            self._offset = np.rint((used.min(axis=0) + used.max(axis=0)) / 2)
-            self._scene.add_triangles(
-                self._tensor((mesh.vertices - self._offset).astype(np.float32)),
-                self._tensor(mesh.triangles.astype(np.uint32)),
-            )
+        self._tensor, self._scene, self._offset = raycaster(mesh)
 
     def cast(self, origins: NDArray[np.floating], directions: NDArray[np.floating]) -> Hits:
         """What rays hit first.

@@ -10,7 +10,10 @@ from nss_ros.bag import read_log
 from nss_ros.cli.main import app
 from nss_ros.dataset.challenge_folder import read_folder, read_fragment
 from nss_ros.dataset.folder import DatasetFolder
+from nss_ros.dataset.ply import write_ply
+from nss_ros.dataset.refinement import read_refined
 from nss_ros.errors import BagError, ConfigError, FormatError, InputError
+from nss_ros.geometry import from_yaw, inverse, relative, transform_points
 
 SMALL = ["--seed", "3", "--spots-per-stage", "4", "--workers", "1"]
 SMALL += ["-s", "simulation.rig.image_width=60", "-s", "simulation.rig.image_height=45"]
@@ -121,6 +124,56 @@ def test_pairs_are_split_and_graphs_make_a_challenge_folder(made):
     )  # fmt: skip
     assert set(whole["sets"]) == {"train", "val", "test"}
     assert DatasetFolder(dataset).manifest.steps["pairs"]["seed"] == 0
+
+
+def test_ground_truth_between_stages_is_refined(made, tmp_path):
+    folder, _ = made
+    dataset = folder / "dataset"
+    summary = run_json("refine", dataset, "--workers", 1)
+    refined = read_refined(dataset)
+    assert len(refined) == summary["pairs"] > 0
+    assert sum(each.accepted for each in refined.values()) == summary["refined"]
+    poses = DatasetFolder(dataset).poses()
+    for pair, each in refined.items():  # simulated poses are exact, so nothing moves far
+        assert not pair.same_stage
+        truth = relative(poses[pair.source], poses[pair.target])
+        assert np.linalg.norm((inverse(truth) @ each.T_target_source)[:3, 3]) < 0.1
+    plot = tmp_path / "radius.png"
+    rows = run_json(
+        "refine", dataset, "--study", plot, "--drift", 0.03, "--pairs", 2, "--workers", 1
+    )["radii"]
+    assert [row["radius"] for row in rows] == [2, 4, 6, 8, 10, 12, 14, 16, 18]
+    assert all(row["error"] > 0 for row in rows)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_stage_scans_of_a_user_are_aligned(tmp_path):
+    rng = np.random.default_rng(0)
+    walls = [(6.0, 0.0, 2.5), (0.0, 4.0, 2.5), (6.0, 4.0, 0.0)]  # three sides of a box
+    points = np.concatenate([rng.uniform(0, 1, (4000, 3)) * size for size in walls])
+    T_anchor_stage = from_yaw(0.4, (2.0, -1.0, 0.3))
+    moved = transform_points(inverse(T_anchor_stage), points)
+    for name, cloud in (("one.ply", moved), ("two.ply", points)):
+        write_ply(tmp_path / name, dict(zip("xyz", cloud.astype(np.float32).T, strict=True)))
+    corners = np.array([(0, 0, 0), (6, 0, 0), (0, 4, 0), (0, 0, 2.5)], dtype=float)
+    picked = transform_points(inverse(T_anchor_stage), corners) + rng.normal(0, 0.02, (4, 3))
+    lines = [
+        ",".join(map(str, (1, *point, 2, *anchor)))
+        for point, anchor in zip(picked.tolist(), corners.tolist(), strict=True)
+    ]
+    header = "stage,x,y,z,anchor_stage,anchor_x,anchor_y,anchor_z"
+    (tmp_path / "picks.csv").write_text("\n".join([header, *lines]))
+    arguments = ("align", tmp_path / "picks.csv", f"1={tmp_path / 'one.ply'}")
+    output = tmp_path / "alignment.json"
+    found = run_json(*arguments, f"2={tmp_path / 'two.ply'}", "-o", output)
+    np.testing.assert_allclose(found["1"]["T_anchor_stage"], T_anchor_stage, atol=5e-3)
+    np.testing.assert_array_equal(found["2"]["T_anchor_stage"], np.eye(4))
+    assert json.loads(output.read_text()) == found
+    result = run(*arguments, "-o", tmp_path / "none.json")
+    assert isinstance(result.exception, InputError)
+    assert "stage 2" in str(result.exception)
+    result = run("align", tmp_path / "picks.csv", "shell.ply")
+    assert "STAGE=PLY" in str(result.exception)
 
 
 def test_tables_and_plots_are_made(made, tmp_path):
