@@ -7,6 +7,7 @@ gives everything that had reached the disk.
 from __future__ import annotations
 
 import hashlib
+import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +21,9 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from nss_ros.bag_writer import METADATA_NAME
 from nss_ros.errors import BagError
 from nss_ros.typestore import jazzy_typestore
+
+# What a damaged record makes the parsers raise; everything before it counts.
+_DAMAGE = (ValueError, KeyError, RuntimeError, MemoryError, OverflowError, struct.error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +94,7 @@ class BagReader:
                 yield from StreamReader(stream, validate_crcs=True).records
             except (McapError, CRCValidationError, EOFError):
                 return
-            except (ValueError, KeyError, RuntimeError, MemoryError, OverflowError):
-                # What a damaged record makes the parsers raise; everything before it counts.
+            except _DAMAGE:
                 return
 
 

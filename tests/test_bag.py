@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
@@ -77,6 +77,7 @@ def test_the_same_content_gives_the_same_bytes(tmp_path, room, bag):
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30)
 @given(share=st.floats(0.0, 0.999))
+@example(share=0.6730921885457519)  # in the middle of a number
 def test_a_truncated_bag_gives_what_it_holds(bag, tmp_path, share):
     data = (bag / "room.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"

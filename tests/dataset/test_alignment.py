@@ -104,7 +104,8 @@ def test_poses_follow_their_stage(tmp_path, stages):
 @given(bad=st.integers(0, 4), seed=st.integers(0, 50))
 def test_a_bad_pick_is_named(tmp_path_factory, bad, seed):
     points, anchors = picks(0.02, seed)
-    points[bad] += np.random.default_rng(seed).normal((2.0, 0, 0))
+    away = np.random.default_rng(seed).normal(size=3)
+    points[bad] += 2.0 * away / np.linalg.norm(away)
     file = write_yaml(tmp_path_factory.mktemp("picks") / "picks.yaml", points, anchors)
     with pytest.raises(InputError, match=rf"pick {bad + 1} fits the others worst: pick it again"):
         align_stages(file, {1: points, 2: anchors}, CONFIG)
