@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -72,6 +73,8 @@ def pairs(
     console.print(_table(made).to_rich())
     flatness = summary["flatness"]
     for kind, (before, after) in flatness.items():
+        if math.isnan(after):  # none selected
+            continue
         console.print(
             f"Evenness of the {kind.replace('_', '-')} pairs over overlap and change (1: flat): "
             f"{before:.2f} before, {after:.2f} after selection.",
