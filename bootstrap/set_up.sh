@@ -7,7 +7,7 @@ venv=$root/.venv
 state=$root/.nss
 system=$state/system # libraries and headers of the distribution that this machine lacks
 log=$state/setup.log
-disk_space_mb=3300 # .venv takes 1.8 GB, the downloads and the copy that pip keeps of them 1.1 GB
+disk_space_mb=5200 # .venv takes 3.3 GB, the downloads and the copy that pip keeps of them 1.7 GB
 
 say() { printf 'nss: [%3d s] %s\n' "$SECONDS" "$1" >&2; }
 
@@ -171,14 +171,24 @@ install_requirements() {
   local key
   key=$(sha256sum requirements/*.txt | sha256sum)
   if [[ "$(cat "$venv/nss.key" 2>/dev/null)" != "$key" ]]; then
-    say "installing the pinned packages (0.55 GB to download)"
+    say "installing the pinned packages (0.9 GB to download)"
     rm -f "$venv/nss.key" "$state/install/nss.key"
+    install_torch
     PIP_USER=0 quietly "$venv/bin/python" -m pip install --disable-pip-version-check --no-input \
       --retries 3 --requirement requirements/requirements.txt \
       --constraint requirements/constraints.txt || explain_pip
     repair_wheels
     printf '%s\n' "$key" >"$venv/nss.key"
   fi
+}
+
+# PyPI's torch for Linux is a CUDA build of several GB; its makers' own index has one for the CPU.
+# Where that index cannot be reached, the other one is installed with the rest, and works too.
+install_torch() {
+  PIP_USER=0 PIP_EXTRA_INDEX_URL='' quietly "$venv/bin/python" -m pip install \
+    --disable-pip-version-check --no-input --no-deps --retries 0 --timeout 15 \
+    --index-url https://download.pytorch.org/whl/cpu torch --constraint requirements/constraints.txt ||
+    say "no CPU build of torch can be fetched from download.pytorch.org: taking PyPI's, which is larger"
 }
 
 explain_pip() {
