@@ -17,7 +17,7 @@ from nss_ros.dataset.manifest import MANIFEST_NAME, current_versions, write_mani
 from nss_ros.dataset.pairs import PairTable, measure_pairs, read_pairs, write_pairs
 from nss_ros.dataset.ply import count_vertices
 from nss_ros.dataset.selection import select_pairs
-from nss_ros.dataset.splits import Split, split_pairs, write_split
+from nss_ros.dataset.splits import SETS, Split, split_pairs, write_split
 from nss_ros.errors import InputError
 from nss_ros.parallel import Engine
 
@@ -158,6 +158,8 @@ def add_graphs(
 def pair_sets(dataset: DatasetFolder, split: Split | None) -> dict[str, PairTable]:
     """All pairs of each set of a split, selected or not; one set "all" without a split.
 
+    Of an imported dataset, the sets hold the pairs that the release annotates.
+
     Raises:
         InputError: the dataset lacks pairs, or does not allow the split.
         FormatError: the pairs cannot be read.
@@ -169,8 +171,17 @@ def pair_sets(dataset: DatasetFolder, split: Split | None) -> dict[str, PairTabl
     if split is None:
         return {_WHOLE: pairs}
     made = dataset.manifest.steps.get("pairs", {})
+    if made.get("imported"):  # the sets are somebody else's
+        return _imported_sets(dataset, split)
     config = validated(SplitConfig, made.get("splits", {}), MANIFEST_NAME)
     return split_pairs(pairs, split, config, int(made.get("seed", 0)))
+
+
+def _imported_sets(dataset: DatasetFolder, split: Split) -> dict[str, PairTable]:
+    folder = dataset.path / SPLIT_FOLDER / split
+    if not folder.is_dir():
+        raise InputError(f"The release that {dataset.path} was made from has no split '{split}'.")
+    return {name: read_pairs(folder / f"{name}.csv") for name in SETS}
 
 
 def _check_complete(dataset: DatasetFolder) -> None:

@@ -364,7 +364,7 @@ def _overlapping(
     """What each fragment overlaps with, in any direction."""
     result: dict[FragmentId, set[FragmentId]] = {}
     for pairs in tables:
-        most = np.maximum(pairs.overlap_ratio, pairs.reverse_overlap_ratio)
+        most = np.fmax(pairs.overlap_ratio, pairs.reverse_overlap_ratio)
         for pair in pairs.take(most >= min_overlap).pairs:
             result.setdefault(pair.source, set()).add(pair.target)
             result.setdefault(pair.target, set()).add(pair.source)
