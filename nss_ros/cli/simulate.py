@@ -72,8 +72,11 @@ def simulate(
     if bag is not None and bag.exists():
         raise BagError(f"{bag} exists already: choose another name or remove it.")
     begin = time.monotonic()
-    dataset = _generate(sites or ["one_floor"], output, settings, labels, workers, quiet=json)
-    summary = _summary(dataset)
+    warnings: list[str] = []
+    dataset = _generate(
+        sites or ["one_floor"], output, settings, labels, workers, warnings, quiet=json
+    )
+    summary = _summary(dataset) | {"warnings": warnings}
     if bag is not None:
         summary["bag"] = _bag(bag, dataset, settings, workers, quiet=json)
     summary["seconds"] = time.monotonic() - begin
@@ -89,6 +92,7 @@ def _generate(
     settings: NssConfig,
     labels: bool,
     workers: int,
+    warnings: list[str],
     quiet: bool,
 ) -> DatasetFolder:
     site_file, folder = site_file_of(sites)
@@ -114,6 +118,7 @@ def _generate(
             workers,
             scanned,
             left_out,
+            warnings.append,
         )
 
 
@@ -169,9 +174,9 @@ def _print(summary: dict[str, Any]) -> None:
         Column("fragments"),
     )
     console.print(Table("Fragments", columns, rows).to_rich())
-    for area in summary["areas"].values():
-        for sentence in area["skipped"]:
-            console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
+    sentences = [text for area in summary["areas"].values() for text in area["skipped"]]
+    for sentence in [*sentences, *summary["warnings"]]:
+        console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
     if bag := summary.get("bag"):
         console.print(
             f"Bag: {bag['path']} ({bag['bytes'] / 1e6:.1f} MB, {bag['same_stage_pairs']} "
