@@ -37,6 +37,8 @@ def picture(
     with progress_bar() as progress:
         for name, build in progress.track(built, description="areas"):
             site = build()
+            for sentence in (*site.source.get("skipped", ()), *site.source.get("notes", ())):
+                console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
             view_in = widest_view(site)
             for view, image in (
                 ("stages", stages_picture(site, width)),

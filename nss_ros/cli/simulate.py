@@ -154,6 +154,7 @@ def _summary(dataset: DatasetFolder) -> dict[str, Any]:
                     {"name": stage.name, "fragments": stage.fragments} for stage in area.stages
                 ],
                 "skipped": area.source.get("skipped", []),
+                "notes": area.source.get("notes", []),
             }
             for name, area in dataset.manifest.areas.items()
         },
@@ -174,7 +175,9 @@ def _print(summary: dict[str, Any]) -> None:
         Column("fragments"),
     )
     console.print(Table("Fragments", columns, rows).to_rich())
-    sentences = [text for area in summary["areas"].values() for text in area["skipped"]]
+    sentences = [
+        text for area in summary["areas"].values() for text in (*area["skipped"], *area["notes"])
+    ]
     for sentence in [*sentences, *summary["warnings"]]:
         console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
     if bag := summary.get("bag"):

@@ -178,9 +178,10 @@ def states_of(
     facts: IfcFacts, stages: Sequence[IfcStage], rules: Sequence[IfcRule]
 ) -> dict[State, frozenset[int]]:
     """The stages at which an element is in each state; empty if it is never there."""
-    rule = next((rule for rule in rules if _holds(rule, facts)), None)
-    if rule is None:
+    holding = holding_rules(facts, rules)
+    if not holding:
         return {}
+    rule = rules[holding[0]]
     if rule.by_schedule:
         steps = dict.fromkeys(_built_stages(facts.finish, stages), State.BUILT)
     else:
@@ -192,6 +193,11 @@ def states_of(
         if state is not State.ABSENT:
             found.setdefault(state, set()).add(stage)
     return {state: frozenset(numbers) for state, numbers in found.items()}
+
+
+def holding_rules(facts: IfcFacts, rules: Sequence[IfcRule]) -> list[int]:
+    """Indices of the rules that hold for an element; the first of them counts."""
+    return [index for index, rule in enumerate(rules) if _holds(rule, facts)]
 
 
 def read_schedule(path: Path) -> dict[str, date]:

@@ -24,6 +24,7 @@ from nss_ros.simulation.ifc_plan import (
     read_schedule,
     states_of,
 )
+from nss_ros.simulation.ifc_report import plan_report
 from nss_ros.simulation.ifc_state import Shape, shapes
 from nss_ros.simulation.ifc_tessellation import (
     Tessellation,
@@ -86,7 +87,8 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
 
     Elements of all files are taken whose geometry reaches into the height of the storey, whatever
     storey they are assigned to; coordinates are shifted to the storey's corner and floor. What
-    cannot be tessellated is left out and listed in the site's source as `skipped`.
+    cannot be tessellated is left out and listed in the site's source as `skipped`; what the plan
+    does not do is told there as `notes`.
 
     Args:
         name: of the area.
@@ -111,7 +113,9 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
         made = tessellate(path, model, entities, Path(area.cache) if area.cache else None, report)
         parts += _parts(path, entities, made)
         skipped += _missing(path, entities, made)
-    schedule = read_schedule(folder / area.schedule) if area.schedule else {}
+    if area.schedule:
+        parts = _scheduled(parts, read_schedule(folder / area.schedule))
+    everything = [part.facts for part in parts]
     if not (storeys or area.storey or not parts):
         lowest = float(min(part.mesh.vertices[:, 2].min() for part in parts))
         storeys = [_Storey("", lowest, len(parts))]
@@ -128,7 +132,7 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
     corner = np.floor(np.min([part.mesh.vertices.min(axis=0) for part in parts], axis=0))
     origin = np.array([corner[0], corner[1], floor])
     low, high = -area.margin, ceiling - floor + area.margin
-    elements = tuple(_cut(each, low, high) for each in _elements(parts, area, schedule, origin))
+    elements = tuple(_cut(each, low, high) for each in _elements(parts, area, origin))
     elements = tuple(each for each in elements if len(each.mesh.triangles))
     _check_stages(name, elements, len(default_plan(area)[0]))
     extent = _extent(elements)
@@ -150,6 +154,7 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
             "storey": storey,
             "origin": origin.tolist(),
             "skipped": skipped,
+            "notes": plan_report(name, area, everything, [part.facts for part in parts]),
         },
     )
 
@@ -377,23 +382,25 @@ def _level_surfaces(
 
 
 def _elements(
-    parts: Sequence[_Part], area: IfcArea, schedule: dict[str, date], origin: NDArray[np.float64]
+    parts: Sequence[_Part], area: IfcArea, origin: NDArray[np.float64]
 ) -> tuple[Element, ...]:
     stages, rules = default_plan(area)
     elements: list[Element] = []
     for part in parts:
-        facts = part.facts
-        if facts.global_id in schedule:
-            facts = _with_finish(facts, schedule[facts.global_id])
         mesh = Mesh(part.mesh.vertices - origin, part.mesh.triangles)
-        states = states_of(facts, stages, rules)
+        states = states_of(part.facts, stages, rules)
         for shape in shapes(mesh, states, 0.0, area.stud_spacing):
             elements += _elements_of(part, shape)
     return tuple(elements)
 
 
-def _with_finish(facts: IfcFacts, finish: date) -> IfcFacts:
-    return replace(facts, finish=finish)
+def _scheduled(parts: Sequence[_Part], schedule: dict[str, date]) -> list[_Part]:
+    """The parts, with the dates of a schedule instead of those in the files."""
+    dates = ((part, schedule.get(part.facts.global_id)) for part in parts)
+    return [
+        part if finish is None else replace(part, facts=replace(part.facts, finish=finish))
+        for part, finish in dates
+    ]
 
 
 def _elements_of(part: _Part, shape: Shape) -> Iterator[Element]:
