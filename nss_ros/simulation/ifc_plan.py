@@ -95,6 +95,13 @@ class IfcArea(Section):
         "", description="CSV file with GlobalId and finish, in addition to the tasks in the files"
     )
     stud_spacing: Positive = Field(0.6, description="Distance of studs, metres")
+    clutter: float = Field(
+        0.0,
+        ge=0,
+        le=3,
+        description="Things that lie about and move between stages (stacks, scaffolds, lifts, "
+        "bins), as a factor of their usual number; 0: none",
+    )
     ground: bool = Field(True, description="Add a floor slab where the model has none")
     cache: str = Field("", description="Folder of tessellations; none: ~/.cache/nss_ros/ifc")
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.errors import InputError
+from nss_ros.simulation.clutter import clutter
 from nss_ros.simulation.element import Element, Material
 from nss_ros.simulation.ifc_plan import (
     IfcArea,
@@ -82,7 +83,9 @@ class _Storey:
     elements: int
 
 
-def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None = None) -> Site:
+def build_ifc_site(
+    name: str, area: IfcArea, folder: Path, report: Report | None = None, seed: int = 0
+) -> Site:
     """The site of an area given as a storey of a building model.
 
     Elements of all files are taken whose geometry reaches into the height of the storey, whatever
@@ -95,6 +98,7 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
         area: files, storey and plan.
         folder: that relative paths are relative to.
         report: progress of tessellation: file, percent, 100.
+        seed: of the clutter; a site without it does not depend on it.
 
     Raises:
         InputError: a file or the storey is missing, or nothing is there at some stage.
@@ -141,7 +145,7 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
     if area.ground and _floor_share(elements, outline, area.floor is not None) < _GROUND_SHARE:
         elements = (*elements, _ground(outline, len(stages)))
         extent = _extent(elements)
-    return Site(
+    site = Site(
         name,
         len(stages),
         elements,
@@ -156,6 +160,14 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
             "skipped": skipped,
             "notes": plan_report(name, area, everything, [part.facts for part in parts]),
         },
+    )
+    if area.clutter == 0:
+        return site
+    lying_about = clutter(site, area.clutter, seed)
+    return replace(
+        site,
+        elements=(*elements, *lying_about),
+        source={**site.source, "clutter_seed": seed, "clutter": len(lying_about)},
     )
 
 

@@ -122,12 +122,13 @@ def areas(
 
 
 def _build(name: str, entry: AreaEntry, folder: Path, seed: int, report: Report | None) -> Site:
+    own_seed = zlib.crc32(f"{seed}/{name}".encode())
     if entry.procedural is not None:
-        return build_floor(name, entry.procedural, zlib.crc32(f"{seed}/{name}".encode()))
+        return build_floor(name, entry.procedural, own_seed)
     if entry.meshes is not None:
         return build_mesh_site(name, entry.meshes, folder)
     assert entry.ifc is not None  # exactly one is there
-    return build_ifc_site(name, entry.ifc, folder, report)
+    return build_ifc_site(name, entry.ifc, folder, report, own_seed)
 
 
 def _read(path: Path) -> SiteFile:
