@@ -23,6 +23,15 @@ from nss_ros.fragment import FragmentId
 from nss_ros.simulation.site_file import areas, built_in_sites, site_file_of
 from nss_ros.table import Align, Column, Table
 
+StoreysOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PATTERN",
+        help="Of IFC files, make an area of each storey with walls or columns whose name matches; "
+        "'*' for all. Without it: one area, the storey of most elements.",
+    ),
+]
+
 
 def simulate(
     sites: Annotated[
@@ -33,6 +42,7 @@ def simulate(
             "(YAML); IFC files of one building; or one mesh per stage.",
         ),
     ] = None,
+    storeys: StoreysOption = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Dataset folder; one cut short is completed.")
     ] = Path("dataset"),
@@ -74,7 +84,7 @@ def simulate(
     begin = time.monotonic()
     warnings: list[str] = []
     dataset = _generate(
-        sites or ["one_floor"], output, settings, labels, workers, warnings, quiet=json
+        sites or ["one_floor"], storeys, output, settings, labels, workers, warnings, quiet=json
     )
     summary = _summary(dataset) | {"warnings": warnings}
     if bag is not None:
@@ -88,6 +98,7 @@ def simulate(
 
 def _generate(
     sites: list[str],
+    storeys: str | None,
     output: Path,
     settings: NssConfig,
     labels: bool,
@@ -95,7 +106,7 @@ def _generate(
     warnings: list[str],
     quiet: bool,
 ) -> DatasetFolder:
-    site_file, folder = site_file_of(sites)
+    site_file, folder = site_file_of(sites, storeys=storeys)
     with progress_bar(quiet) as progress:
         reading = progress.add_task("models", total=None, visible=False)
         scanning = progress.add_task("fragments", total=None)

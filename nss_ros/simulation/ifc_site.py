@@ -140,6 +140,9 @@ def build_ifc_site(
     elements = tuple(each for each in elements if len(each.mesh.triangles))
     _check_stages(name, elements, len(default_plan(area)[0]))
     extent = _extent(elements)
+    notes = plan_report(name, area, everything, [part.facts for part in parts])
+    if not area.storey and area.floor is None:
+        notes += _other_storeys(name, storey, storeys)
     stages, _ = default_plan(area)
     outline = _outline(elements, _APRON if is_lowest else _EDGE)
     if area.ground and _floor_share(elements, outline, area.floor is not None) < _GROUND_SHARE:
@@ -158,7 +161,7 @@ def build_ifc_site(
             "storey": storey,
             "origin": origin.tolist(),
             "skipped": skipped,
-            "notes": plan_report(name, area, everything, [part.facts for part in parts]),
+            "notes": notes,
         },
     )
     if area.clutter == 0:
@@ -169,6 +172,39 @@ def build_ifc_site(
         elements=(*elements, *lying_about),
         source={**site.source, "clutter_seed": seed, "clutter": len(lying_about)},
     )
+
+
+def walled_storeys(paths: Sequence[Path], pattern: str = "*") -> list[str]:
+    """Names of the storeys of IFC files that hold walls or columns, from the lowest.
+
+    Storeys without them (roofs, foundations, levels that only carry a height) are no place to
+    scan. Of several files of one building, storeys of the same name are one.
+
+    Args:
+        paths: IFC files.
+        pattern: shell pattern that the names match.
+
+    Raises:
+        InputError: a file is missing, or no storey matches.
+        FormatError: a file is not valid.
+    """
+    found: dict[str, float] = {}
+    others: list[_Storey] = []
+    for path in paths:
+        model = open_ifc(path)
+        entities = model.by_type("IfcBuildingStorey")
+        for entity, storey in zip(entities, _storeys(model), strict=True):
+            others.append(storey)
+            inside = (e for r in entity.ContainsElements or () for e in r.RelatedElements)
+            if fnmatch(storey.name, pattern) and any(
+                element.is_a("IfcWall") or element.is_a("IfcColumn") for element in inside
+            ):
+                found.setdefault(storey.name, storey.elevation)
+    if not found:
+        raise InputError(
+            f"No storey with walls or columns matches '{pattern}': the files have {_names(others)}."
+        )
+    return sorted(found, key=lambda name: (found[name], name))
 
 
 def _files(name: str, patterns: Sequence[str], folder: Path) -> list[Path]:
@@ -336,6 +372,17 @@ def _heights(name: str, area: IfcArea, storeys: Sequence[_Storey]) -> tuple[floa
     above = [s.elevation for s in storeys if s.elevation > chosen.elevation + 2.0]
     next_floor = min(above, default=chosen.elevation + _STOREY_HEIGHT)
     return chosen.elevation, area.ceiling or next_floor, chosen.name
+
+
+def _other_storeys(name: str, chosen: str, storeys: Sequence[_Storey]) -> list[str]:
+    """A sentence on the storeys that are left out when none was asked for."""
+    others = [each for each in storeys if each.name != chosen and each.elements]
+    if not others:
+        return []
+    return [
+        f"Area {name} is the storey '{chosen}', which has the most elements; left out are "
+        f"{_names(others)}: --storeys '*' makes an area of each."
+    ]
 
 
 def _names(storeys: Sequence[_Storey]) -> str:

@@ -162,6 +162,51 @@ def test_a_plan_stages_a_storey(tmp_path, build, schema):
     assert site.source["skipped"] == []
 
 
+def test_each_storey_is_an_area_if_asked(tmp_path):
+    model = Model("IFC2X3").house()
+    ground = model.storey
+    model.storey = ifcopenshell.api.root.create_entity(
+        model.file, "IfcBuildingStorey", name="Level [2]"
+    )
+    model._elevation = 3.0
+    model._place(model.storey, 0, 0, 0)
+    ifcopenshell.api.aggregate.assign_object(
+        model.file,
+        products=[model.storey],
+        relating_object=model.file.by_type("IfcBuilding")[0],
+    )
+    model.add("IfcWall", "north of 2", (0, 5.8, 0), (8, 0.2, 2.8))
+    model.storey = ifcopenshell.api.root.create_entity(model.file, "IfcBuildingStorey", name="Roof")
+    model._elevation = 6.0
+    model._place(model.storey, 0, 0, 0)
+    model.add("IfcSlab", "roof", (0, 0, 0), (8, 6, 0.2))
+    path = str(tmp_path / model.write(tmp_path / "two [storeys].ifc"))
+    site_file, folder = site_file_of([path], storeys="*")
+    built = dict(areas(site_file, folder, 0))
+    assert list(built) == ["1", "2"]
+    one, two = built["1"](), built["2"]()
+    assert one.source["storey"] == ground.Name == "Level 1"
+    assert two.source["storey"] == "Level [2]"
+    assert two.source["origin"][2] == pytest.approx(3.0)
+    assert "north of 2" in kinds(two, 1)
+    assert "north of 2" not in kinds(one, 1)
+    assert one.source["clutter"] > 0
+    site_file, folder = site_file_of([path])
+    ((_, build),) = areas(site_file, folder, 0)
+    usual, note = build().source["notes"]
+    assert "no place in the usual order of works" in usual
+    assert "1 IfcWall" in usual  # nothing says whether the wall 'rated' bears loads
+    assert "Area 1 is the storey 'Level 1'" in note
+    assert "'Level [2]' at 3 m" in note
+    assert "--storeys '*'" in note
+    site_file, _ = site_file_of([path], storeys="Level [[]*")
+    assert list(site_file.areas) == ["1"]
+    with pytest.raises(InputError, match="matches 'Cellar': the files have 'Level 1' at 0 m"):
+        site_file_of([path], storeys="Cellar")
+    with pytest.raises(InputError, match="--storeys is for IFC files"):
+        site_file_of(["demo"], storeys="*")
+
+
 def test_units_elevation_and_large_offsets_do_not_matter(tmp_path, build):
     plain = build(Model().house().write(tmp_path / "plain.ifc"), **STAGED)
     far = Model(millimetres=True, elevation=6.0, offset=(155_000.0, 463_000.0)).house()
