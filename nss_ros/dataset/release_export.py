@@ -26,10 +26,11 @@ from nss_ros.dataset.manifest import write_json
 from nss_ros.dataset.pairs import PairTable, read_pairs
 from nss_ros.dataset.ply import count_vertices
 from nss_ros.dataset.pose_file import write_poses
+from nss_ros.dataset.refinement import refined_transforms
 from nss_ros.dataset.release import ANNOTATIONS, MANIFEST, MULTIWAY, PANORAMAS, POINTS
 from nss_ros.dataset.splits import SETS, Split
 from nss_ros.errors import FormatError, InputError
-from nss_ros.fragment import FragmentId, occupied_voxels, voxel_means
+from nss_ros.fragment import FragmentId, FragmentPair, occupied_voxels, voxel_means
 from nss_ros.geometry import Transform, relative
 
 VOXEL_SIZE = 0.075
@@ -63,7 +64,8 @@ def export_release(
 ) -> Exported:
     """Write a dataset as the NSS release is laid out.
 
-    Pairs are those that `nss pairs` selected for each set. Multi-way graphs are those that `nss
+    Pairs are those that `nss pairs` selected for each set, with the transform that `nss refine`
+    gave or else that of the poses. Multi-way graphs are those that `nss
     graphs --kind multiway` made of a split, else they are made here. Points come with their
     normals; labels stay behind, the release has none.
 
@@ -85,12 +87,13 @@ def export_release(
         raise InputError(f"{output} exists already: choose another name or remove it.")
     splits = _splits(dataset)
     poses = dataset.poses()
+    refined = refined_transforms(dataset.path)
     graphs, skipped = _graphs(dataset, list(splits), config)
     panoramas = _write_fragments(dataset, output, report)
     for split, sets in splits.items():
         for name, pairs in sets.items():
             path = _made(output / ANNOTATIONS / split) / f"{name}.json"
-            write_annotations(path, _annotations(pairs, poses))
+            write_annotations(path, _annotations(pairs, poses, refined))
     for split, parts in graphs.items():
         for name, part in parts.items():
             write_graphs_2024(_made(output / MULTIWAY / split) / f"{name}.json", part)
@@ -122,9 +125,15 @@ def _splits(dataset: DatasetFolder) -> dict[str, dict[str, PairTable]]:
     return splits
 
 
-def _annotations(pairs: PairTable, poses: dict[FragmentId, Transform]) -> list[PairAnnotation]:
+def _annotations(
+    pairs: PairTable, poses: dict[FragmentId, Transform], refined: dict[FragmentPair, Transform]
+) -> list[PairAnnotation]:
     return [
-        PairAnnotation(pair, relative(poses[pair.source], poses[pair.target]), *figures)
+        PairAnnotation(
+            pair,
+            refined[pair] if pair in refined else relative(poses[pair.source], poses[pair.target]),
+            *figures,
+        )
         for pair, *figures in zip(
             pairs.pairs,
             pairs.overlap_ratio.tolist(),
@@ -155,7 +164,9 @@ def _graphs(
             }
             continue
         counts = counts or {id_: count_vertices(dataset.point_file(id_)) for id_ in poses}
-        made = multiway_graphs(pair_sets(dataset, Split(split)), poses, config, counts, "Multiway")
+        sets = pair_sets(dataset, Split(split))
+        refined = refined_transforms(dataset.path)
+        made = multiway_graphs(sets, poses, config, counts, "Multiway", refined)
         found[split] = made.graphs
         skipped += [f"Split {split}: {sentence}" for sentence in made.skipped]
     return found, skipped

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from fnmatch import fnmatch
 from pathlib import Path
@@ -30,6 +31,7 @@ from nss_ros.dataset.graphs import write_graph_sets
 from nss_ros.dataset.manifest import Manifest, current_versions, write_manifest
 from nss_ros.dataset.pairs import write_pairs
 from nss_ros.dataset.ply import read_columns
+from nss_ros.dataset.refinement import RefinedPair, write_refined
 from nss_ros.dataset.release import Release
 from nss_ros.dataset.site_record import SiteRecord
 from nss_ros.dataset.splits import SETS, write_split
@@ -37,9 +39,10 @@ from nss_ros.dataset.stage_scan import fitted_normals
 from nss_ros.dataset.writer import DatasetWriter
 from nss_ros.errors import FormatError, InputError
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.geometry import Transform, inverse
+from nss_ros.geometry import Transform, inverse, rotation_angle
 
 _RANGE = 4.5
+_SAME = 1e-6  # transforms that differ by less are one: files may round them
 _SENSOR_HEIGHT = 1.65  # above the floor, metres
 
 
@@ -100,7 +103,8 @@ def as_dataset(
 ) -> tuple[DatasetFolder, tuple[str, ...]]:
     """Make a dataset folder of a release; one that was cut short is completed.
 
-    Poses that the release does not tell follow from its relative transforms; an area without any
+    Relative transforms that differ from the poses are kept as refined pairs. Poses that the
+    release does not tell follow from its relative transforms; an area without any
     gets the frame of one of its fragments. Normals that its point clouds lack are fitted.
 
     Args:
@@ -141,6 +145,8 @@ def as_dataset(
     writer.finish()
     dataset = DatasetFolder(output)
     _add_pairs(dataset, release, poses)
+    if refined := _refined(release, poses):
+        write_refined(output, refined)
     for split, sets in release.graphs.items():
         write_graph_sets(output / MULTIWAY_FOLDER / split, sets)
     return dataset, sentences
@@ -298,6 +304,31 @@ def _site(
         floor_height=float(np.median(places[:, 2]) - _SENSOR_HEIGHT),
         elements=[],
     )
+
+
+def _refined(
+    release: Release, poses: dict[FragmentId, Transform]
+) -> dict[FragmentPair, RefinedPair]:
+    """Annotated transforms that say something else than the poses: they were refined."""
+    found = {}
+    for each in _all_annotations(release):
+        source, target = each.pair.source, each.pair.target
+        if source not in poses or target not in poses:
+            continue
+        correction = poses[target] @ each.T_target_source @ inverse(poses[source])
+        if np.abs(correction - np.eye(4)).max() > _SAME:
+            middle = (poses[source][:3, 3] + poses[target][:3, 3]) / 2
+            moved = correction[:3, :3] @ middle + correction[:3, 3] - middle
+            found[each.pair] = RefinedPair(
+                each.T_target_source,
+                reason="",
+                translation=float(np.linalg.norm(moved)),
+                rotation=rotation_angle(correction),
+                rmse=math.nan,
+                correspondences=0,
+                deviation=math.inf,
+            )
+    return found
 
 
 def _add_pairs(

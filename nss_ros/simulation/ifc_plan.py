@@ -126,7 +126,7 @@ class IfcFacts:
 
     Attributes:
         file: name of its file.
-        classes: its IFC class and those above it.
+        classes: its IFC class and those above it; of a part of a wall, then those of the wall.
         name: its name, empty for none.
         global_id: its GlobalId.
         storey: name of the storey that contains it, empty for none.

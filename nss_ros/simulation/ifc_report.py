@@ -69,8 +69,9 @@ def _outside_the_usual_order(
     if not others:
         return []
     return [
-        f"Area {name}: {len(others)} elements have no place in the usual order of works, and are "
-        f"there from the first stage on: {_classes(others)}; a plan of your own can stage them."
+        f"Area {name}: {len(others)} elements have no place in the usual order of works (nor do "
+        "walls of which nothing says whether they bear loads), and are there from the first stage "
+        f"on: {_classes(others)}; a plan of your own can stage them."
     ]
 
 

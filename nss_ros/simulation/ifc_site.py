@@ -65,6 +65,10 @@ _FLOOR_SEARCH = 0.5
 _LEVEL = 0.9
 _GROUND_SHARE = 0.2
 _GROUND_THICKNESS = 0.2
+_ONE_LEVEL = 1.2  # difference of heights of storeys that are one, metres
+# Elements in the middle of which the height is so far below or above that of their storey's floor
+# are not where the storey says, metres; of fewer than so many nothing follows.
+_LOST_BELOW, _LOST_ABOVE, _FEW = 1.5, 4.0, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,7 @@ class _Storey:
     name: str
     elevation: float
     elements: int
+    walled: bool = False
 
 
 def build_ifc_site(
@@ -105,18 +110,7 @@ def build_ifc_site(
         FormatError: a file is not valid.
     """
     paths = _files(name, area.files, folder)
-    storeys: list[_Storey] = []
-    parts: list[_Part] = []
-    skipped: list[str] = []
-    for path in paths:
-        model = open_ifc(path)
-        if is_cut_short(path):
-            skipped.append(f"{path.name} is cut short: what follows is missing.")
-        storeys += _storeys(model)
-        entities = _entities(model)
-        made = tessellate(path, model, entities, Path(area.cache) if area.cache else None, report)
-        parts += _parts(path, entities, made)
-        skipped += _missing(path, entities, made)
+    storeys, parts, skipped = _load(paths, Path(area.cache) if area.cache else None, report)
     if area.schedule:
         parts = _scheduled(parts, read_schedule(folder / area.schedule))
     everything = [part.facts for part in parts]
@@ -174,37 +168,75 @@ def build_ifc_site(
     )
 
 
-def walled_storeys(paths: Sequence[Path], pattern: str = "*") -> list[str]:
+def walled_storeys(
+    paths: Sequence[Path], pattern: str = "*", report: Report | None = None
+) -> list[str]:
     """Names of the storeys of IFC files that hold walls or columns, from the lowest.
 
     Storeys without them (roofs, foundations, levels that only carry a height) are no place to
-    scan. Of several files of one building, storeys of the same name are one.
+    scan. Of storeys at about one height, as in several files of one building, that of most
+    elements names them all.
 
     Args:
-        paths: IFC files.
+        paths: IFC files of one building.
         pattern: shell pattern that the names match.
+        report: progress of tessellation.
 
     Raises:
         InputError: a file is missing, or no storey matches.
         FormatError: a file is not valid.
     """
-    found: dict[str, float] = {}
-    others: list[_Storey] = []
+    storeys, _, _ = _load(paths, None, report)
+    walled = [each for each in storeys if each.walled and fnmatch(each.name, pattern)]
+    if not walled:
+        raise InputError(
+            f"No storey with walls or columns matches '{pattern}': the files have "
+            f"{_names(storeys)}."
+        )
+    levels: list[_Storey] = []
+    for storey in sorted(walled, key=lambda each: -each.elements):
+        if all(abs(storey.elevation - level.elevation) > _ONE_LEVEL for level in levels):
+            levels.append(storey)
+    return list(dict.fromkeys(each.name for each in sorted(levels, key=lambda s: s.elevation)))
+
+
+def _load(
+    paths: Sequence[Path], cache_folder: Path | None, report: Report | None
+) -> tuple[list[_Storey], list[_Part], list[str]]:
+    """Storeys and elements of IFC files, and a sentence for each thing that is missing."""
+    storeys: list[_Storey] = []
+    parts: list[_Part] = []
+    skipped: list[str] = []
     for path in paths:
         model = open_ifc(path)
-        entities = model.by_type("IfcBuildingStorey")
-        for entity, storey in zip(entities, _storeys(model), strict=True):
-            others.append(storey)
-            inside = (e for r in entity.ContainsElements or () for e in r.RelatedElements)
-            if fnmatch(storey.name, pattern) and any(
-                element.is_a("IfcWall") or element.is_a("IfcColumn") for element in inside
-            ):
-                found.setdefault(storey.name, storey.elevation)
-    if not found:
-        raise InputError(
-            f"No storey with walls or columns matches '{pattern}': the files have {_names(others)}."
-        )
-    return sorted(found, key=lambda name: (found[name], name))
+        if is_cut_short(path):
+            skipped.append(f"{path.name} is cut short: what follows is missing.")
+        entities = _entities(model)
+        made = tessellate(path, model, entities, cache_folder, report)
+        own = list(_parts(path, entities, made))
+        parts += own
+        storeys += [_grounded(storey, own) for storey in _storeys(model)]
+        skipped += _missing(path, entities, made)
+    return storeys, parts, skipped
+
+
+def _grounded(storey: _Storey, parts: Sequence[_Part]) -> _Storey:
+    """A storey where its elements are, if that is not at the height that the file tells.
+
+    Models of one trade and storey often leave the height at 0.
+    """
+    heights = np.array(
+        [
+            (part.mesh.vertices[:, 2].min(), part.mesh.vertices[:, 2].max())
+            for part in parts
+            if part.facts.storey == storey.name
+        ]
+    ).reshape(-1, 2)
+    middles = heights.mean(axis=1) - storey.elevation
+    inside = (middles > -_LOST_BELOW) & (middles < _LOST_ABOVE)
+    if len(heights) < _FEW or inside.mean() >= 0.5:
+        return storey
+    return replace(storey, elevation=float(np.quantile(heights[:, 0], 0.1)))
 
 
 def _files(name: str, patterns: Sequence[str], folder: Path) -> list[Path]:
@@ -229,6 +261,11 @@ def _storeys(model: Any) -> list[_Storey]:
             float(get_local_placement(storey.ObjectPlacement)[2, 3] or storey.Elevation or 0.0)
             * scale,
             sum(len(relation.RelatedElements) for relation in storey.ContainsElements or ()),
+            any(
+                element.is_a("IfcWall") or element.is_a("IfcColumn")
+                for relation in storey.ContainsElements or ()
+                for element in relation.RelatedElements
+            ),
         )
         for storey in model.by_type("IfcBuildingStorey")
     ]
@@ -278,14 +315,20 @@ def _parts(path: Path, entities: Sequence[Any], made: Tessellation) -> Iterator[
 
 
 def _facts(path: Path, entity: Any) -> IfcFacts:
-    from ifcopenshell.util.element import get_container, get_materials, get_psets
+    from ifcopenshell.util.element import get_aggregate, get_container, get_materials, get_psets
 
     container = get_container(entity)
     sets = get_psets(entity)
+    classes = _classes(entity.is_a(), entity.file.schema_identifier)
+    # The blocks and layers of a wall are staged as the wall is.
+    whole = get_aggregate(entity) if _is_a(entity, "IfcBuildingElementPart") else None
+    if whole is not None:
+        sets = get_psets(whole) | sets
+        classes += _classes(whole.is_a(), entity.file.schema_identifier)
     return IfcFacts(
         file=path.name,
-        classes=_classes(entity.is_a(), entity.file.schema_identifier),
-        name=str(entity.Name or ""),
+        classes=classes,
+        name=str(entity.Name or (whole.Name if whole is not None else "") or ""),
         global_id=str(entity.GlobalId),
         storey=str(container.Name or "") if container is not None else "",
         properties={

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 
 import numpy as np
 import pytest
@@ -18,9 +19,17 @@ from nss_ros.dataset.annotation import (
     read_annotations,
     write_annotations,
 )
+from nss_ros.dataset.bag_export import ground_truth_graph
+from nss_ros.dataset.challenge import fragment_ids
 from nss_ros.dataset.folder import DatasetFolder, write_panorama
 from nss_ros.dataset.pairs import read_pairs
 from nss_ros.dataset.ply import read_columns, write_ply
+from nss_ros.dataset.refinement import (
+    RefinedPair,
+    read_refined,
+    refined_transforms,
+    write_refined,
+)
 from nss_ros.dataset.release import is_release, read_release
 from nss_ros.dataset.release_export import export_release
 from nss_ros.dataset.release_import import as_challenge, as_dataset
@@ -157,6 +166,48 @@ def test_graphs_that_were_made_are_exported(dataset, tmp_path):
 def _exported(dataset, path):
     export_release(dataset, path, GRAPHS)
     return path
+
+
+def test_refined_ground_truth_goes_out_and_comes_back(dataset, tmp_path):
+    shutil.copytree(dataset.path, tmp_path / "refined")
+    refined = DatasetFolder(tmp_path / "refined")
+    poses = refined.poses()
+    table = read_pairs(refined.path / "splits" / "original" / "train.csv")
+    pair, other = table.take(~table.same_stage).pairs[:2]
+    truth, kept = (relative(poses[p.source], poses[p.target]) for p in (pair, other))
+    moved = truth @ exponential(np.array([0.01, -0.02, 0.0, 0.0, 0.0, 0.003]))
+    rest = {"rotation": 0.003, "rmse": 0.01, "correspondences": 900, "deviation": 0.001}
+    write_refined(
+        refined.path,
+        {
+            pair: RefinedPair(moved, reason="", translation=0.022, **rest),
+            other: RefinedPair(kept, reason="not well determined", translation=0.0, **rest),
+        },
+    )
+    (graph,) = add_graphs(refined, GraphKind.MULTIWAY, None, GRAPHS, 0).graphs["all"]
+    ids = fragment_ids(graph)
+    edges = {FragmentPair(ids[e.source], ids[e.target]): e.transform for e in graph.edges}
+    np.testing.assert_array_equal(edges[pair], moved)
+    np.testing.assert_allclose(edges[other], kept, rtol=0, atol=1e-12)
+    in_bag = ground_truth_graph(refined, "1", table)
+    (edge,) = [edge for edge in in_bag.edges if edge.pair == pair]
+    np.testing.assert_array_equal(edge.T_target_source, moved)
+    export_release(refined, tmp_path / "out", GRAPHS)
+    release = read_release(tmp_path / "out")
+    told = {each.pair: each.T_target_source for each in release.annotations["original"]["train"]}
+    np.testing.assert_array_equal(told[pair], moved)
+    back, _ = as_dataset(release, tmp_path / "back")
+    ((again, found),) = read_refined(back.path).items()
+    assert again == pair
+    np.testing.assert_array_equal(found.T_target_source, moved)
+    assert found.accepted
+    assert found.translation == pytest.approx(0.022, abs=0.005)
+    assert np.isnan(found.rmse)
+    np.testing.assert_allclose(
+        refined_transforms(back.path)[FragmentPair(pair.target, pair.source)] @ moved,
+        np.eye(4),
+        atol=1e-12,
+    )
 
 
 def test_a_bag_takes_the_pairs_of_a_split(dataset, exported):

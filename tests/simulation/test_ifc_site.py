@@ -207,6 +207,51 @@ def test_each_storey_is_an_area_if_asked(tmp_path):
         site_file_of(["demo"], storeys="*")
 
 
+def test_a_storey_is_where_its_elements_are(tmp_path, build):
+    """Trade models of one storey each, which all say that it lies at 0, as real ones do."""
+    for number, floor in enumerate((0.0, 2.9, 5.8)):
+        model = Model("IFC2X3")
+        model.storey.Name = f"S{number}"
+        model.add("IfcSlab", f"slab {number}", (0, 0, floor - 0.2), (8, 6, 0.2))
+        for y in (0, 2, 4, 5.8):
+            model.add("IfcWall", f"wall {number}", (0, y, floor), (8, 0.2, 2.6))
+        model.write(tmp_path / f"s{number}.ifc")
+    site = build("s*.ifc", storey="S1")
+    assert site.source["origin"][2] == pytest.approx(2.9)
+    names = {element.name for element in site.elements}
+    assert "wall 1" in names
+    assert not {"wall 0", "wall 2"} & names
+    paths = [str(path) for path in sorted(tmp_path.glob("s*.ifc"))]
+    site_file, _ = site_file_of(paths, storeys="*")
+    assert [entry.ifc.storey for entry in site_file.areas.values()] == ["S0", "S1", "S2"]
+
+
+def test_the_blocks_of_a_wall_are_staged_as_the_wall(tmp_path, build):
+    model = Model("IFC2X3").house()
+    wall = ifcopenshell.api.root.create_entity(model.file, "IfcWall", name="of blocks")
+    ifcopenshell.api.spatial.assign_container(
+        model.file, products=[wall], relating_structure=model.storey
+    )
+    pset = ifcopenshell.api.pset.add_pset(model.file, product=wall, name="Pset_WallCommon")
+    ifcopenshell.api.pset.edit_pset(model.file, pset=pset, properties={"LoadBearing": True})
+    block = model.add("IfcBuildingElementPart", "", (2, 2, 0), (2, 0.2, 0.6))
+    ifcopenshell.api.aggregate.assign_object(model.file, products=[block], relating_object=wall)
+    rules = [
+        {
+            "ifc_class": ["IfcWall"],
+            "property": "Pset_WallCommon.LoadBearing",
+            "value": "True",
+            "states": {2: "built"},
+        },
+        {"states": {1: "built"}},
+    ]
+    name = model.write(tmp_path / "house.ifc")
+    site = build(name, stages=[{}, {}], rules=rules)
+    (found,) = [each for each in site.elements if each.name == "of blocks"]
+    assert found.kind == "IfcBuildingElementPart"
+    assert found.stages == {2}
+
+
 def test_units_elevation_and_large_offsets_do_not_matter(tmp_path, build):
     plain = build(Model().house().write(tmp_path / "plain.ifc"), **STAGED)
     far = Model(millimetres=True, elevation=6.0, offset=(155_000.0, 463_000.0)).house()
