@@ -106,13 +106,14 @@ def _generate(
     warnings: list[str],
     quiet: bool,
 ) -> DatasetFolder:
-    site_file, folder = site_file_of(sites, storeys=storeys)
     with progress_bar(quiet) as progress:
         reading = progress.add_task("models", total=None, visible=False)
         scanning = progress.add_task("fragments", total=None)
 
         def read(name: str, done: int, total: int) -> None:
             progress.update(reading, description=name, completed=done, total=total, visible=True)
+
+        site_file, folder = site_file_of(sites, storeys=storeys, report=read)
 
         def scanned(fragment: FragmentId) -> None:
             progress.update(scanning, description=f"fragments of area {fragment.area}", advance=1)

@@ -39,6 +39,8 @@ from nss_ros.multiway.pose_graph import NodeStatus
 POINTS, PANORAMAS = "pointclouds", "panoramas"
 ANNOTATIONS, MULTIWAY = "annotations", "annotations_multiway"
 MANIFEST = "nss_ros.json"
+VOXEL_SIZE = 0.075
+"""Of the release's point clouds, metres."""
 
 _POINT_NAMES = (POINTS, "pointcloud", "point_clouds", "point_cloud")
 _PANORAMA_NAMES = (PANORAMAS, "panorama")

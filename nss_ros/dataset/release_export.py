@@ -27,14 +27,11 @@ from nss_ros.dataset.pairs import PairTable, read_pairs
 from nss_ros.dataset.ply import count_vertices
 from nss_ros.dataset.pose_file import write_poses
 from nss_ros.dataset.refinement import refined_transforms
-from nss_ros.dataset.release import ANNOTATIONS, MANIFEST, MULTIWAY, PANORAMAS, POINTS
+from nss_ros.dataset.release import ANNOTATIONS, MANIFEST, MULTIWAY, PANORAMAS, POINTS, VOXEL_SIZE
 from nss_ros.dataset.splits import SETS, Split
 from nss_ros.errors import FormatError, InputError
 from nss_ros.fragment import FragmentId, FragmentPair, occupied_voxels, voxel_means
 from nss_ros.geometry import Transform, relative
-
-VOXEL_SIZE = 0.075
-"""Of the release's point clouds, metres."""
 
 
 @dataclass(frozen=True, slots=True)

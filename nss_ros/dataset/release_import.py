@@ -32,7 +32,7 @@ from nss_ros.dataset.manifest import Manifest, current_versions, write_manifest
 from nss_ros.dataset.pairs import write_pairs
 from nss_ros.dataset.ply import read_columns
 from nss_ros.dataset.refinement import RefinedPair, write_refined
-from nss_ros.dataset.release import Release
+from nss_ros.dataset.release import VOXEL_SIZE, Release
 from nss_ros.dataset.site_record import SiteRecord
 from nss_ros.dataset.splits import SETS, write_split
 from nss_ros.dataset.stage_scan import fitted_normals
@@ -275,7 +275,7 @@ def _manifest(release: Release, gravity_aligned: bool) -> Manifest:
     if release.manifest is None:
         return Manifest(
             seed=0,
-            simulation={},
+            simulation={"voxel_size": VOXEL_SIZE},
             labels=False,
             gravity_aligned=gravity_aligned,
             versions=current_versions(),

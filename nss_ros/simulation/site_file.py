@@ -68,7 +68,10 @@ def built_in_sites() -> list[str]:
 
 
 def site_file_of(
-    arguments: Sequence[str], area: str = "1", storeys: str | None = None
+    arguments: Sequence[str],
+    area: str = "1",
+    storeys: str | None = None,
+    report: Report | None = None,
 ) -> tuple[SiteFile, Path]:
     """The site file that a user means, and the folder that its paths are relative to.
 
@@ -78,6 +81,7 @@ def site_file_of(
         area: name of the area where no site file names it.
         storeys: shell pattern of the storeys of IFC files that become an area each, numbered
             from the lowest; None: one area, the storey of most elements.
+        report: progress of reading the files for their storeys.
 
     Raises:
         InputError: nothing of that is there, or storeys are asked of what is no IFC file.
@@ -108,7 +112,7 @@ def site_file_of(
         # Brackets and stars in a name are no pattern.
         model = {"files": [escape(path) for path in paths], "clutter": 1.0}
         if storeys is not None:
-            names = walled_storeys([Path(path) for path in paths], storeys)
+            names = walled_storeys([Path(path) for path in paths], storeys, report)
             entries = {
                 str(number): {"ifc": {**model, "storey": escape(name)}}
                 for number, name in enumerate(names, start=1)
