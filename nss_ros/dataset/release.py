@@ -26,7 +26,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from nss_ros.dataset.annotation import PairAnnotation, fragment_of, pair_table, read_annotations
-from nss_ros.dataset.challenge import ChallengeGraph, fragment_ids, ground_truth, read_graphs
+from nss_ros.dataset.challenge import ChallengeGraph, ground_truth, read_graphs
 from nss_ros.dataset.folder import POSES_NAME
 from nss_ros.dataset.manifest import Manifest
 from nss_ros.dataset.pose_file import read_poses
@@ -176,11 +176,11 @@ def _annotations(files: Sequence[Path]) -> list[PairAnnotation]:
 def _fragments(annotations: Annotations, graphs: Graphs) -> set[FragmentId]:
     pairs = [each.pair for s in annotations.values() for part in s.values() for each in part]
     nodes = [
-        id_
+        node.id
         for sets in graphs.values()
         for part in sets.values()
         for graph in part
-        for id_ in fragment_ids(graph).values()
+        for node in ground_truth(graph).nodes  # checks the edges, too
     ]
     return {*nodes, *(pair.source for pair in pairs), *(pair.target for pair in pairs)}
 

@@ -296,6 +296,9 @@ FILE_DAMAGE = {
     "cloud": lambda folder: (folder / "pointclouds" / "Bldg1_Stage1_Spot1.ply").unlink(),
     "clouds": lambda folder: (folder / "pointclouds").rename(folder / "clouds"),
     "manifest": lambda folder: (folder / "nss_ros.json").write_text("{}"),
+    "edge": lambda folder: (folder / GRAPH).write_text(
+        (folder / GRAPH).read_text().replace('"target": ', '"target": 999', 1)
+    ),
     "graphs": lambda folder: (folder / GRAPH).write_text("[{]"),
 }
 
@@ -325,6 +328,7 @@ def damage(folder, what):
         ("cloud", r"Bldg1_Stage1_Spot1\.ply is missing"),
         ("clouds", "no folder 'pointclouds'"),
         ("manifest", r"nss_ros\.json is not a manifest"),
+        ("edge", r"names the node 999\d+, which the graph does not have"),
         ("graphs", r"train\.json is not valid JSON"),
     ],
 )
