@@ -24,6 +24,7 @@ setup(
         "nss_ros": [
             "py.typed",
             "interfaces/*.msg",
+            "registration/gravity/*.safetensors",
             "simulation/sites/*.yaml",
             "benchmark/paper.yaml",
         ]
@@ -72,6 +73,7 @@ setup(
         ],
         "nss_ros.registration_methods": [
             "fpfh_ransac = nss_ros.registration.fpfh:FpfhRansac",
+            "gravity = nss_ros.registration.gravity.method:Gravity",
             "fpfh_fgr = nss_ros.registration.fpfh:FpfhFgr",
         ],
         "nss_ros.synchronizers": [

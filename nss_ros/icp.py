@@ -26,6 +26,8 @@ _CORRELATION_LENGTH = 0.5
 # No estimate is taken to be better than the sensor's and the voxels' systematic errors.
 _LEAST_DEVIATION = 0.01
 _NORMAL_COSINE = 0.5
+# A direction along which the surfaces can slide is unknown by metres, not infinitely.
+_LEAST_INFORMATION = 1e-2
 
 Array = NDArray[np.float64]
 
@@ -73,6 +75,14 @@ class Refined:
     correspondences: int
     rmse: float
     converged: bool
+
+    @property
+    def covariance(self) -> Matrix:
+        """(6, 6), positive definite: unknown directions of the information are bounded."""
+        values, vectors = np.linalg.eigh(self.information)
+        known = np.maximum(values, _LEAST_INFORMATION)
+        covariance = np.einsum("ij,j,kj->ik", vectors, 1 / known, vectors)
+        return np.asarray((covariance + covariance.T) / 2)
 
 
 def moved_by(transform: Transform, points: Array) -> Array:
