@@ -26,6 +26,7 @@ setup(
             "interfaces/*.msg",
             "simulation/sites/*.yaml",
             "benchmark/paper.yaml",
+            "benchmark/report_page/*",
         ]
     },
     data_files=[
@@ -36,6 +37,7 @@ setup(
     ],
     install_requires=[
         "setuptools",
+        "jinja2",
         "joblib",
         "matplotlib",
         "mcap",
