@@ -67,15 +67,15 @@ def _draw_panel(axes: Axes, panel: Panel) -> None:
         axes.set_title(panel.title)
     _set_axis(axes, "x", panel.x)
     _set_axis(axes, "y", panel.y)
-    for number, (value, text) in enumerate(panel.marks):
+    for value, text in panel.marks:
         axes.axvline(value, color="#888888", linewidth=0.9, linestyle=":", zorder=0)
         axes.annotate(
             text,
-            (value, 1.0 - 0.08 * number),
+            (value, 0.0),
             xycoords=("data", "axes fraction"),
-            xytext=(3, -2),
+            xytext=(3, 3),
             textcoords="offset points",
-            va="top",
+            va="bottom",
             fontsize=8,
             color="#666666",
         )

@@ -25,8 +25,7 @@ def plotly_figure(panel: Panel) -> dict[str, Any]:
         "barmode": "overlay",
         "shapes": [_line_at(value) for value, _ in panel.marks],
         "annotations": [
-            _text_at(panel.x, value, text, number)
-            for number, (value, text) in enumerate(panel.marks)
+            _text_at(panel.x, value, text) for value, text in panel.marks if text
         ],
         "dragmode": "pan" if panel.equal else "zoom",
     }
@@ -64,10 +63,10 @@ def _line_at(value: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _text_at(axis: Axis, value: float, text: str, number: int) -> dict[str, Any]:
+def _text_at(axis: Axis, value: float, text: str) -> dict[str, Any]:
     return {
-        "x": float(np.log10(value)) if axis.log else value, "yref": "paper", "y": 1 - 0.08 * number,
-        "text": text, "showarrow": False, "xanchor": "left", "yanchor": "top",
+        "x": float(np.log10(value)) if axis.log else value, "yref": "paper", "y": 0.02,
+        "text": text, "showarrow": False, "xanchor": "left", "yanchor": "bottom",
         "font": {"size": 11, "color": "#666"},
     }  # fmt: skip
 
@@ -85,7 +84,7 @@ def _trace(series: Series) -> dict[str, Any]:
         trace["customdata"] = list(series.links)
     if series.mark is Mark.BARS:
         return trace | {
-            "type": "bar", "width": series.width, "marker": {"color": series.colour},
+            "type": "bar", "textposition": "none", "width": series.width, "marker": {"color": series.colour},
         }  # fmt: skip
     parts = ["lines"] * series.mark.has_line + ["markers"] * series.mark.has_points
     trace |= {"type": "scatter", "mode": "+".join(parts)}

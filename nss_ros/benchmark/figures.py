@@ -52,6 +52,31 @@ def run_charts(run: Run) -> dict[str, Chart]:
     return {name: chart for name, chart in charts.items() if chart is not None}
 
 
+def missing_charts(run: Run) -> list[str]:
+    """One sentence for each chart for which a run that was scored lacks the data."""
+    score, evaluation = run.score, run.evaluation
+    if score is None or evaluation is None:
+        return []
+    missing = (
+        (not score.overlap_bins, "The ground truth tells no overlap ratios: no recall by overlap."),
+        (
+            not score.change_bins,
+            "The ground truth tells no temporal change ratios: no recall by change.",
+        ),
+        (
+            precision_recall(score) is None,
+            "No precision-recall curve: that takes overlap probabilities of pairs that overlap and "
+            "of pairs that do not.",
+        ),
+        (reliability(score) is None, "No answer has a confidence and a known truth."),
+        (
+            rmse_change(evaluation) is None,
+            "No change of the pairwise RMSE: that takes a map and point clouds.",
+        ),
+    )
+    return [sentence for lacks, sentence in missing if lacks]
+
+
 def recall_by_bin(score: LogScore, by: str) -> Chart | None:
     """Recall by overlap ratio (`by` is `overlap`) or temporal change ratio (`change`).
 

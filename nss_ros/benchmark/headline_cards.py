@@ -35,8 +35,8 @@ _CARDS: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
         "Over all points of placed fragments",
         (
             ("global_rmse", "global RMSE"),
-            ("official_global_rmse", "official global RMSE"),
-            ("coverage", "coverage of points"),
+            ("official_global_rmse", "official RMSE"),
+            ("coverage", "coverage"),
             ("outlier_f1", "outlier F1"),
         ),
     ),

@@ -25,9 +25,12 @@ if TYPE_CHECKING:
 ACCEPTED, REJECTED = "#4d4d4d", "#C44E9B"
 """Colours of edges."""
 
-_PIXELS = 1000  # across a picture
+_DPI = 120  # of pictures
+_SPOT = 0.05  # metres: a point covers what lies so near
+SECTION_DEPTH = 0.6
+"""What lies so near to the plane of a section is in it, metres."""
 _MARGIN = 0.4  # metres
-_FULL = 0.85  # opacity of the darkest ink
+_FAINT, _FULL = 0.22, 0.88  # opacity of the palest and of the darkest ink
 _DARKEST = 80  # percentile of points per occupied pixel that is drawn darkest
 _WIDTH = 9.2  # inches
 _MOST_COLUMNS = 3
@@ -54,12 +57,11 @@ def map_figure(view: MapView) -> Figure:
     low, high = limits(view.points.values())
     with mpl.rc_context(STYLE):
         size = (_WIDTH, _WIDTH * 0.9 * _ratio(low, high) + 1.0)
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, layout="compressed")
         plan, section = figure.subplots(2, 1, sharex=True, height_ratios=_heights(low, high))
-        draw_plan(plan, inks, low, high, view.slice())
-        draw_section(section, inks, low, high)
-        plan.set(ylabel="y (m)", title=f"Area {view.area}, all stages: plan")
-        section.set(xlabel="x (m)", ylabel="z (m)", title="Section: seen along y")
+        _draw_view(plan, section, view, inks, low, high)
+        plan.set(ylabel="y (m)", title="Plan")
+        section.set(xlabel="x (m)", ylabel="z (m)", title="Section at the dotted line")
         figure.legend(
             handles=stage_handles(view.stages), loc="outside lower center", frameon=False, ncols=6
         )
@@ -82,7 +84,7 @@ def stage_figure(view: MapView) -> Figure:
     each = _WIDTH / columns
     with mpl.rc_context(STYLE):
         size = (_WIDTH, rows * (each * 0.9 * _ratio(low, high) + 0.75))
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, layout="compressed")
         grid = figure.subplots(
             2 * rows, columns, squeeze=False, sharex=True,
             height_ratios=_heights(low, high) * rows,
@@ -96,8 +98,7 @@ def stage_figure(view: MapView) -> Figure:
                 continue
             stage = stages[number]
             inks = {stage_colour(view.stages, stage): view.points[stage]}
-            draw_plan(plan, inks, low, high, view.slice())
-            draw_section(section, inks, low, high)
+            _draw_view(plan, section, view, inks, low, high)
             plan.set_title(f"Stage {stage}")
             if number % columns == 0:
                 plan.set_ylabel("y (m)")
@@ -123,13 +124,12 @@ def before_after_figure(before: MapView, after: MapView) -> Figure:
     low, high = limits([*before.points.values(), *after.points.values()])
     with mpl.rc_context(STYLE):
         size = (_WIDTH, _WIDTH / 2 * 0.9 * _ratio(low, high) + 1.2)
-        figure = Figure(figsize=size, layout="constrained")
+        figure = Figure(figsize=size, layout="compressed")
         grid = figure.subplots(2, 2, sharex=True, height_ratios=_heights(low, high))
         for column, (view, name) in enumerate(((before, "Before"), (after, "After"))):
             inks = {stage_colour(view.stages, s): points for s, points in view.points.items()}
             plan, section = grid[:, column]
-            draw_plan(plan, inks, low, high, view.slice())
-            draw_section(section, inks, low, high)
+            _draw_view(plan, section, view, inks, low, high)
             far = f": spots off by {view.offset:.2f} m (RMS)" if np.isfinite(view.offset) else ""
             plan.set_title(name + far)
             section.set_xlabel("x (m)")
@@ -238,9 +238,25 @@ def draw_plan(
     _draw(axes, cut, low, high, (0, 1))
 
 
-def draw_section(axes: Axes, inks: Inks, low: Floats, high: Floats) -> None:
-    """Points seen along y."""
-    _draw(axes, inks, low, high, (0, 2))
+def draw_section(
+    axes: Axes, inks: Inks, low: Floats, high: Floats, middle: float | None = None
+) -> None:
+    """Points seen along y: those near a plane y = `middle`, or all."""
+    near = {
+        colour: points if middle is None else points[np.abs(points[:, 1] - middle) < SECTION_DEPTH]
+        for colour, points in inks.items()
+    }
+    _draw(axes, near, low, high, (0, 2))
+
+
+def _draw_view(
+    plan: Axes, section: Axes, view: MapView, inks: Inks, low: Floats, high: Floats
+) -> None:
+    """Plan and section of some of a view's stages, the plane of the section dotted in the plan."""
+    middle = view.middle()
+    draw_plan(plan, inks, low, high, view.slice())
+    draw_section(section, inks, low, high, middle)
+    plan.axhline(middle, color="#444444", linewidth=0.9, linestyle=(0, (1, 3)))
 
 
 def _draw(
@@ -248,8 +264,11 @@ def _draw(
 ) -> None:
     across, up = plane
     extent = (low[across], high[across], low[up], high[up])
+    figure = axes.get_figure(root=True)
+    panels = axes.get_gridspec().ncols if axes.get_gridspec() else 1
+    pixels = round(_DPI * figure.get_figwidth() / panels) if figure else 1000
     image = ink_picture(
-        {colour: points[:, plane] for colour, points in inks.items()}, extent, _PIXELS
+        {colour: points[:, plane] for colour, points in inks.items()}, extent, pixels
     )
     axes.imshow(image, extent=extent, origin="lower", interpolation="antialiased")
     axes.set(xlim=extent[:2], ylim=extent[2:], aspect="equal")
@@ -269,10 +288,12 @@ def ink_picture(
         pixels: across.
     """
     from matplotlib.colors import to_rgb
+    from scipy.ndimage import maximum_filter
 
     left, right, bottom, top = extent
     shape = (max(1, round(pixels * (top - bottom) / (right - left))), pixels)
     image = np.ones((*shape, 3))
+    spread = max(1, round(_SPOT * pixels / (right - left)))
     for colour, points in inks.items():
         counts, _, _ = np.histogram2d(
             points[:, 1], points[:, 0], shape, ((bottom, top), (left, right))
@@ -281,7 +302,9 @@ def ink_picture(
         if not len(occupied):
             continue
         dark = max(1.0, float(np.percentile(occupied, _DARKEST)))
-        strength = _FULL * np.sqrt(np.clip(counts / dark, 0, 1))
+        covered = maximum_filter(counts, spread)
+        strength = _FAINT + (_FULL - _FAINT) * np.sqrt(np.clip(covered / dark, 0, 1))
+        strength[covered == 0] = 0
         image *= 1 - strength[..., None] * (1 - np.array(to_rgb(colour)))
     return image
 

@@ -22,6 +22,7 @@ MOST_POINTS = 3_000_000
 
 _ABOVE_FLOOR = 0.25, 2.1  # metres: of a slice that shows walls, without floor and ceiling
 _VOXEL = 0.03
+_NEAR = 0.8  # metres: a spot that a section passes
 _YAW_STEP = 1.0  # degrees
 _UPRIGHT_POINTS = 50_000
 _YAW_BIN = 0.05  # metres
@@ -64,6 +65,13 @@ class MapView:
         """Heights between which walls and furniture stand, without floor and ceiling, metres."""
         floor = self.floor()
         return floor + _ABOVE_FLOOR[0], floor + _ABOVE_FLOOR[1]
+
+    def middle(self) -> float:
+        """The y of the section that passes most spots nearby, metres."""
+        y = np.array([spot[1] for spot in self.spots.values()])
+        near = np.abs(y[:, None] - y) < _NEAR
+        best = int(near.sum(axis=1).argmax())
+        return float(y[near[best]].mean())
 
 
 def map_views(log: Log) -> list[MapView]:

@@ -16,9 +16,10 @@ from nss_ros import __version__
 from nss_ros.benchmark.chart import Chart, Series
 from nss_ros.benchmark.chart_drawing import draw
 from nss_ros.benchmark.chart_plotly import plotly_figure
-from nss_ros.benchmark.figures import rmse_by_graph_size, run_charts
+from nss_ros.benchmark.figures import missing_charts, rmse_by_graph_size, run_charts
 from nss_ros.benchmark.headline_cards import Card, cards
 from nss_ros.benchmark.map_figures import (
+    SECTION_DEPTH,
     before_after_figure,
     graph_chart,
     map_figure,
@@ -36,6 +37,7 @@ from nss_ros.table import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from PIL import Image as Pillow
 
 MOST_ROWS = 2000
 """Pairs listed of a run, worst first."""
@@ -43,10 +45,26 @@ MOST_POINTS = 160_000
 """Points of the 3-D views of all runs together."""
 
 _DPI = 120
-_PALETTE = 128
+_PALETTE = 64
+_QUALITY = 88
 _MOST_AREAS = 6
 _PAPER = ("pairwise", "multiway", "map", "areas", "displacement", "paper")
 _BINS = ("overlap_bins", "change_bins", "overlap", "calibration", "reliability", "intervals")
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """A picture as it lies in the page.
+
+    Attributes:
+        source: `data:` URL.
+        width: pixels; known before it is decoded, so that the page does not jump.
+        height: pixels.
+    """
+
+    source: str
+    width: int
+    height: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +73,12 @@ class Plot:
 
     Attributes:
         chart: what is shown.
-        picture: PNG in base64, for print and where no script runs.
+        picture: for print and where no script runs.
         keys: of its panels in the data of the page.
     """
 
     chart: Chart
-    picture: str
+    picture: Image
     keys: list[str]
     legend: list[Series]
 
@@ -71,12 +89,12 @@ class Picture:
 
     Attributes:
         title: of the picture, also for those who cannot see it.
-        picture: PNG in base64.
+        picture: the picture.
         caption: how it is to be read; may be empty.
     """
 
     title: str
-    picture: str
+    picture: Image
     caption: str = ""
 
 
@@ -87,7 +105,7 @@ class WorstOnPage:
     record: PairRecord
     why: str
     row: str
-    picture: str
+    picture: Image
 
 
 @dataclass(slots=True)
@@ -106,6 +124,7 @@ class RunOnPage:
     graphs: list[Plot] = field(default_factory=list)
     plots: dict[str, Plot] = field(default_factory=dict)
     tables: dict[str, Table] = field(default_factory=dict)
+    missing: list[str] = field(default_factory=list)
     worst: list[WorstOnPage] = field(default_factory=list)
     pair_table: Table | None = None
     pair_ids: list[str] = field(default_factory=list)
@@ -180,6 +199,7 @@ def _run_page(key: str, run: Run, worst: int, most_points: int, data: dict[str, 
     if run.score is not None:
         page.cards = cards(run.score.headline)
         page.tables = log_tables(run.score)
+        page.missing = missing_charts(run)
         size = rmse_by_graph_size([run.score])
         if size is not None:
             page.plots["size"] = _plot(f"{key}-size", size, data)
@@ -189,7 +209,7 @@ def _run_page(key: str, run: Run, worst: int, most_points: int, data: dict[str, 
                 each.record,
                 each.why,
                 rows.get(each.record.pair, ""),
-                png(pair_figure(run.log, run.evaluation, each.record), colours=64),
+                photograph(pair_figure(run.log, run.evaluation, each.record)),
             )
             for each in worst_pairs(run.log, records, worst)
         ]
@@ -233,21 +253,22 @@ def _add_maps(
         page.map_pictures.append(
             Picture(
                 f"Area {view.area}: all stages",
-                png(map_figure(view)),
-                "Plan: what stands 0.25 to 2.1 m above the floor. Stages are printed over each "
-                f"other; dark is what all of them saw.{how}",
+                photograph(map_figure(view)),
+                "Plan: what stands 0.25 to 2.1 m above the floor. Section: what lies within "
+                f"{SECTION_DEPTH:g} m of the dotted line. Stages are printed over each other: "
+                f"dark is what several saw.{how}",
             )
         )
         if len(view.points) > 1:
             page.map_pictures.append(
-                Picture(f"Area {view.area}: stage by stage", png(stage_figure(view)))
+                Picture(f"Area {view.area}: stage by stage", photograph(stage_figure(view)))
             )
         before = chained_view(log, view)
         if before is not None:
             page.map_pictures.append(
                 Picture(
                     f"Area {view.area}: before and after the multi-way step",
-                    png(before_after_figure(before, view)),
+                    photograph(before_after_figure(before, view)),
                     "Before: the same fragments, chained by the most confident relative "
                     "transforms.",
                 )
@@ -268,13 +289,13 @@ def facts(run: Run) -> list[tuple[str, str]]:
     bags = [v for k, v in sorted(metadata.items()) if k.startswith("bag_") and k[4:].isdigit()]
     values = (
         ("Log", str(log.path)),
-        ("Recorded", metadata.get("start_time", "")),
+        ("Recorded", metadata.get("start_time", "").replace("T", " ").replace("Z", " UTC")),
         ("Bag", ", ".join(bags)),
         ("Registration", ", ".join(methods)),
         ("Multi-way", log.pose_graph.synchronizer if log.pose_graph else ""),
         ("Split", run.evaluation.split if run.evaluation else ""),
         ("Trained on", run.evaluation.training if run.evaluation else ""),
-        ("Fragments", f"{len(ids):,} of {len(stages)} stage(s)" if ids else ""),
+        ("Fragments", f"{len(ids):,} in {len(stages)} stage{'s' * (len(stages) != 1)}" if ids else ""),
         ("Pairs", f"{len(log.pairs):,} asked for, {answered:,} answered, {failed:,} failed"),
         ("Duration", f"{max(ends):.0f} s" if ends else ""),
         ("Version", f"{metadata.get('nss_ros', '')} {metadata.get('git_revision', '')}".strip()),
@@ -292,21 +313,37 @@ def _plot(key: str, chart: Chart, data: dict[str, Any]) -> Plot:
         keys.append(f"{key}-{number}")
         data["plots"][keys[-1]] = plotly_figure(panel) | {"height": panel.height}
     legend = list(chart.legend())
-    return Plot(chart, png(draw(chart), colours=64), keys, legend if len(legend) > 1 else [])
+    return Plot(chart, drawing(draw(chart)), keys, legend if len(legend) > 1 else [])
 
 
-def png(figure: Figure, colours: int = _PALETTE) -> str:
-    """A figure as PNG of few colours, in base64."""
+def drawing(figure: Figure) -> Image:
+    """A figure of lines and text: PNG of few colours."""
+    from PIL import Image as Pillow
+
+    small = _pixels(figure).quantize(_PALETTE, dither=Pillow.Dither.NONE)
+    return _image(small, "png", optimize=True)
+
+
+def photograph(figure: Figure) -> Image:
+    """A figure full of points: WebP, a quarter of the size of a PNG."""
+    return _image(_pixels(figure), "webp", quality=_QUALITY)
+
+
+def _pixels(figure: Figure) -> Pillow.Image:
     import matplotlib as mpl
-    from PIL import Image
+    from PIL import Image as Pillow
 
     stream = io.BytesIO()
     with mpl.rc_context(STYLE):
         figure.savefig(stream, format="png", dpi=_DPI)
-    image = Image.open(stream).convert("RGB")
-    small = io.BytesIO()
-    image.quantize(colours, dither=Image.Dither.NONE).save(small, "png", optimize=True)
-    return b64encode(small.getvalue()).decode("ascii")
+    return Pillow.open(stream).convert("RGB")
+
+
+def _image(picture: Pillow.Image, form: str, **options: Any) -> Image:
+    stream = io.BytesIO()
+    picture.save(stream, form, **options)
+    text = b64encode(stream.getvalue()).decode("ascii")
+    return Image(f"data:image/{form};base64,{text}", picture.width, picture.height)
 
 
 def _pretty(text: str) -> str:

@@ -76,15 +76,14 @@ def pair_figure(log: Log, evaluation: Evaluation, record: PairRecord) -> Figure:
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
 
     if record.edge is None:
         raise ValueError(f"{record.pair} is no edge of the ground truth.")
     target = log.fragments[record.pair.target].points
     source = log.fragments[record.pair.source].points
     sides = (
-        ("Estimate", ESTIMATE, evaluation.edges.pairwise.T_target_source[record.edge]),
-        ("Ground truth", TRUTH, evaluation.edges.T_target_source[record.edge]),
+        ("Source at the estimate", ESTIMATE, evaluation.edges.pairwise.T_target_source[record.edge]),
+        ("Source in truth", TRUTH, evaluation.edges.T_target_source[record.edge]),
     )
     moved = [transform_points(T, source).astype(np.float32) for _, _, T in sides]
     low, high = limits([target, *moved])
@@ -92,7 +91,7 @@ def pair_figure(log: Log, evaluation: Evaluation, record: PairRecord) -> Figure:
     with mpl.rc_context(STYLE):
         spans = high - low
         height = (_SIZE[0] / 2 - 0.6) * (spans[1] + spans[2]) / spans[0] + 1.0
-        figure = Figure(figsize=(_SIZE[0], float(np.clip(height, 2.6, 7.5))), layout="constrained")
+        figure = Figure(figsize=(_SIZE[0], float(np.clip(height, 2.6, 7.5))), layout="compressed")
         grid = figure.subplots(2, 2, sharex=True, height_ratios=(spans[1], spans[2]))
         for column, ((name, colour, _), points) in enumerate(zip(sides, moved, strict=True)):
             plan, section = grid[:, column]
@@ -106,16 +105,6 @@ def pair_figure(log: Log, evaluation: Evaluation, record: PairRecord) -> Figure:
                 section.tick_params(labelleft=False)
         grid[0, 0].set_ylabel("y (m)")
         grid[1, 0].set_ylabel("z (m)")
-        figure.legend(
-            handles=[
-                Patch(color=TARGET, label="target"),
-                Patch(color=ESTIMATE, label="source, estimated"),
-                Patch(color=TRUTH, label="source, true"),
-            ],
-            loc="outside lower center",
-            frameon=False,
-            ncols=3,
-        )
     return figure
 
 

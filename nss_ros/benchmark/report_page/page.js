@@ -54,17 +54,26 @@
     return axes;
   };
 
+  // Darker below, paler above: flat colours would show no depth.
+  const shade = (colour, white) => {
+    const parts = [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16));
+    const mixed = parts.map((c) => Math.round(white < 0 ? c * (1 + white) : c + (255 - c) * white));
+    return `rgb(${mixed.join(",")})`;
+  };
+
   const cloud = (text, model, colour) => {
     const [x, y, z] = unpacked(text, model);
     return {type: "scatter3d", mode: "markers", x, y, z, hoverinfo: "skip",
-      marker: {size: 1.6, color: colour, opacity: 1, line: {width: 0}}};
+      marker: {size: 1.6, opacity: 1, line: {width: 0}, showscale: false, color: z,
+        cmin: model.origin[2], cmax: model.origin[2] + model.extent[2],
+        colorscale: [[0, shade(colour, -0.45)], [0.5, colour], [1, shade(colour, 0.45)]]}};
   };
 
   const spots = (stage) => ({
     type: "scatter3d", mode: "markers", text: stage.spots.map((spot) => spot[0]),
     x: stage.spots.map((spot) => spot[1]), y: stage.spots.map((spot) => spot[2]),
     z: stage.spots.map((spot) => spot[3]), hovertemplate: "%{text}<extra></extra>",
-    marker: {size: 5, color: stage.colour, line: {width: 1.5, color: "#ffffff"}},
+    marker: {size: 7, symbol: "diamond", color: stage.colour, line: {width: 2, color: "#111"}},
   });
 
   const hasWebGl = () => {
@@ -127,12 +136,23 @@
           aspectmode: "data", dragmode: "turntable",
           xaxis: {...axis("x (m)"), range: range3d(0)}, yaxis: {...axis("y (m)"), range: range3d(1)},
           zaxis: {...axis("z (m)"), range: range3d(2), nticks: h < 0.5 * Math.max(w, d) ? 4 : 8},
-          camera: {eye: {x: -0.7, y: -1.25, z: 1.15}, center: {x: 0, y: 0, z: -0.12}},
+          camera: {eye: {x: -0.85, y: -1.5, z: 1.35}, center: {x: 0.02, y: -0.02, z: -0.3}},
         },
       }, {...config, scrollZoom: true});
       drawn = true;
     });
   }
+
+  // Paper has no use for what is folded.
+  const folded = [...document.querySelectorAll("details.more")];
+  let opened = [];
+  addEventListener("beforeprint", () => {
+    opened = folded.filter((each) => !each.open);
+    for (const each of opened) each.open = true;
+  });
+  addEventListener("afterprint", () => {
+    for (const each of opened) each.open = false;
+  });
 
   for (const section of document.querySelectorAll("section")) {
     const filters = section.querySelector(".filters");
