@@ -18,8 +18,13 @@ _WIDE = 8.6
 _DASH = (0, (4, 2))
 
 
-def draw(chart: Chart) -> Figure:
-    """The chart as a figure of matplotlib."""
+def draw(chart: Chart, titled: bool = True) -> Figure:
+    """The chart as a figure of matplotlib.
+
+    Args:
+        chart: what is drawn.
+        titled: its title stands above it.
+    """
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -31,7 +36,8 @@ def draw(chart: Chart) -> Figure:
     size = (width, sum(_height(chart, each, width / columns) for each in heights) + 0.8)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=size, layout="constrained")
-        figure.suptitle(chart.title)
+        if titled:
+            figure.suptitle(chart.title)
         grid = figure.subplots(rows, columns, squeeze=False, height_ratios=heights)
         for axes in grid.flat[len(chart.panels) :]:
             axes.remove()

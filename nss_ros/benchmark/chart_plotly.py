@@ -24,9 +24,7 @@ def plotly_figure(panel: Panel) -> dict[str, Any]:
         "hoverlabel": {"align": "left"},
         "barmode": "overlay",
         "shapes": [_line_at(value) for value, _ in panel.marks],
-        "annotations": [
-            _text_at(panel.x, value, text) for value, text in panel.marks if text
-        ],
+        "annotations": [_text_at(panel.x, value, text) for value, text in panel.marks if text],
         "dragmode": "pan" if panel.equal else "zoom",
     }
     if panel.title:
@@ -45,13 +43,12 @@ def _axis(axis: Axis) -> dict[str, Any]:
         "ticks": "outside",
         "ticklen": 4,
     }
-    ends = (axis.low, axis.high)
     if axis.log:
         result |= {"type": "log", "dtick": 1, "tickformat": "~g"}
-        ends = tuple(None if end is None else float(np.log10(end)) for end in ends)
-    if ends[0] is not None and ends[1] is not None:
-        result["range"] = list(ends)
-    elif ends[0] == 0:
+    if axis.low is not None and axis.high is not None:
+        ends = np.array((axis.low, axis.high))
+        result["range"] = (np.log10(ends) if axis.log else ends).tolist()
+    elif axis.low == 0:
         result["rangemode"] = "tozero"
     return result
 
@@ -84,7 +81,8 @@ def _trace(series: Series) -> dict[str, Any]:
         trace["customdata"] = list(series.links)
     if series.mark is Mark.BARS:
         return trace | {
-            "type": "bar", "textposition": "none", "width": series.width, "marker": {"color": series.colour},
+            "type": "bar", "textposition": "none", "width": series.width,
+            "marker": {"color": series.colour},
         }  # fmt: skip
     parts = ["lines"] * series.mark.has_line + ["markers"] * series.mark.has_points
     trace |= {"type": "scatter", "mode": "+".join(parts)}

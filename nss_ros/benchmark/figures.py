@@ -348,8 +348,8 @@ def timing(times: RunTiming) -> Chart | None:
         _count("pairs answered", times.answers, "#0072B2"),
     ]
     edges = np.linspace(0, end or 1.0, _THROUGHPUT_WINDOWS + 1)
-    rate = np.histogram(times.answers, edges)[0] / np.diff(edges)
-    middle = (edges[1:] + edges[:-1]) / 2
+    rate = np.asarray(np.histogram(times.answers, edges)[0] / np.diff(edges), dtype=np.float64)
+    middle = np.asarray((edges[1:] + edges[:-1]) / 2, dtype=np.float64)
     chosen = spread(len(times.answers), MAX_POINTS)
     known = chosen[np.isfinite(times.latency[chosen])]
     waits = (

@@ -116,7 +116,7 @@ def _row(name: str, label: str, figure: Headline) -> CardRow:
         name,
         label,
         f"{_number(figure.value, figure.unit)}{' ' if figure.unit else ''}{figure.unit}",
-        f"{_number(figure.low, figure.unit)} – {_number(figure.high, figure.unit)}"
+        f"{_number(figure.low, figure.unit)} \N{EN DASH} {_number(figure.high, figure.unit)}"
         if known
         else "",
         bar,

@@ -5,7 +5,7 @@ Stages are laid over each other like inks, so that no stage hides another.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from nss_ros.benchmark.chart import Axis, Chart, Mark, Panel, Series
 from nss_ros.benchmark.map_view import MapView
 from nss_ros.benchmark.metrics import Floats
 from nss_ros.dataset.figures import STAGE_COLOURS, STYLE
-from nss_ros.fragment import FragmentId, Points
+from nss_ros.fragment import FragmentPair, Points
 from nss_ros.multiway.pose_graph import EdgeStatus, PoseGraph
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def before_after_figure(before: MapView, after: MapView) -> Figure:
     return figure
 
 
-def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[Any, str]) -> Chart:
+def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, str]) -> Chart:
     """The graph over space and time in plan: nodes by stage, edges accepted or rejected.
 
     Args:
@@ -208,7 +208,7 @@ def _spots(view: MapView, stage: int) -> Series:
     )
 
 
-def _edge_text(pair: Any, name: str, reason: str) -> str:
+def _edge_text(pair: FragmentPair, name: str, reason: str) -> str:
     text = f"{name}<br>{pair.source}<br>→ {pair.target}"
     return f"{text}<br>{reason}" if reason else text
 
@@ -220,7 +220,7 @@ def stage_handles(stages: Sequence[int]) -> list[Any]:
     return [Patch(color=stage_colour(stages, s), label=f"stage {s}") for s in stages]
 
 
-def limits(clouds: Any) -> tuple[Floats, Floats]:
+def limits(clouds: Iterable[Points]) -> tuple[Floats, Floats]:
     """Lower and upper corner around clouds, without stray points, metres."""
     some = np.concatenate([cloud[:: max(1, len(cloud) // 100_000)] for cloud in clouds])
     low, high = np.percentile(some, (0.1, 99.9), axis=0)
@@ -259,14 +259,13 @@ def _draw_view(
     plan.axhline(middle, color="#444444", linewidth=0.9, linestyle=(0, (1, 3)))
 
 
-def _draw(
-    axes: Axes, inks: Inks, low: Floats, high: Floats, plane: tuple[int, int]
-) -> None:
+def _draw(axes: Axes, inks: Inks, low: Floats, high: Floats, plane: tuple[int, int]) -> None:
     across, up = plane
     extent = (low[across], high[across], low[up], high[up])
     figure = axes.get_figure(root=True)
-    panels = axes.get_gridspec().ncols if axes.get_gridspec() else 1
-    pixels = round(_DPI * figure.get_figwidth() / panels) if figure else 1000
+    grid = axes.get_gridspec()
+    width = figure.get_figwidth() if figure is not None else _WIDTH
+    pixels = round(_DPI * width / (grid.ncols if grid is not None else 1))
     image = ink_picture(
         {colour: points[:, plane] for colour, points in inks.items()}, extent, pixels
     )

@@ -1,5 +1,4 @@
-"""A map made ready to be looked at: points by stage, few enough, with z up and walls along x and y.
-"""
+"""A map made ready to be looked at: points by stage, z up, walls along x and y."""
 
 from __future__ import annotations
 
@@ -207,9 +206,7 @@ def _wall_yaw(flat: NDArray[np.float64]) -> float:
     # From no turn at all outwards, so that ties change nothing.
     for yaw in sorted(np.arange(-44.0, 45.0, _YAW_STEP), key=abs):
         angle = np.radians(yaw)
-        turned = flat @ np.array(
-            [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-        )
+        turned = flat @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         sharpness = 0.0
         for column in turned.T:
             cells = np.floor((column - column.min()) / _YAW_BIN).astype(np.intp)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import json
-from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from nss_ros import __version__
 from nss_ros.benchmark.chart import Chart, Series
@@ -28,43 +24,22 @@ from nss_ros.benchmark.map_figures import (
 from nss_ros.benchmark.map_model import map_model
 from nss_ros.benchmark.map_view import chained_view, map_views
 from nss_ros.benchmark.pair_records import Outcome, PairRecord, pair_records, pair_table
+from nss_ros.benchmark.report_images import Image, drawing, photograph
 from nss_ros.benchmark.run import Run
+from nss_ros.benchmark.run_facts import facts
 from nss_ros.benchmark.table import log_tables, run_tables
 from nss_ros.benchmark.worst_pairs import pair_figure, worst_pairs
-from nss_ros.dataset.figures import STYLE
 from nss_ros.fragment import FragmentPair
 from nss_ros.table import Table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from PIL import Image as Pillow
 
 MOST_ROWS = 2000
 """Pairs listed of a run, worst first."""
 MOST_POINTS = 160_000
 """Points of the 3-D views of all runs together."""
 
-_DPI = 120
-_PALETTE = 64
-_QUALITY = 88
 _MOST_AREAS = 6
 _PAPER = ("pairwise", "multiway", "map", "areas", "displacement", "paper")
 _BINS = ("overlap_bins", "change_bins", "overlap", "calibration", "reliability", "intervals")
-
-
-@dataclass(frozen=True, slots=True)
-class Image:
-    """A picture as it lies in the page.
-
-    Attributes:
-        source: `data:` URL.
-        width: pixels; known before it is decoded, so that the page does not jump.
-        height: pixels.
-    """
-
-    source: str
-    width: int
-    height: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,75 +250,13 @@ def _add_maps(
             )
 
 
-def facts(run: Run) -> list[tuple[str, str]]:
-    """What one wants to know of a run first."""
-    log, metadata = run.log, run.log.metadata
-    ids = sorted(
-        log.fragments or {node.id: None for graph in _graphs(run) for node in graph.nodes}
-    )
-    stages = sorted({id_.stage for id_ in ids})
-    methods = sorted({answer.method for answer in log.relative_transforms.values()})
-    answered = len(log.relative_transforms)
-    failed = sum(not answer.ok for answer in log.relative_transforms.values())
-    ends = [*run.timing.answers[-1:], *run.timing.fragments[-1:]]
-    bags = [v for k, v in sorted(metadata.items()) if k.startswith("bag_") and k[4:].isdigit()]
-    values = (
-        ("Log", str(log.path)),
-        ("Recorded", metadata.get("start_time", "").replace("T", " ").replace("Z", " UTC")),
-        ("Bag", ", ".join(bags)),
-        ("Registration", ", ".join(methods)),
-        ("Multi-way", log.pose_graph.synchronizer if log.pose_graph else ""),
-        ("Split", run.evaluation.split if run.evaluation else ""),
-        ("Trained on", run.evaluation.training if run.evaluation else ""),
-        ("Fragments", f"{len(ids):,} in {len(stages)} stage{'s' * (len(stages) != 1)}" if ids else ""),
-        ("Pairs", f"{len(log.pairs):,} asked for, {answered:,} answered, {failed:,} failed"),
-        ("Duration", f"{max(ends):.0f} s" if ends else ""),
-        ("Version", f"{metadata.get('nss_ros', '')} {metadata.get('git_revision', '')}".strip()),
-    )
-    return [(name, value) for name, value in values if value]
-
-
-def _graphs(run: Run) -> list[Any]:
-    return [*run.log.ground_truth, *([run.log.pose_graph] if run.log.pose_graph else [])]
-
-
 def _plot(key: str, chart: Chart, data: dict[str, Any]) -> Plot:
     keys = []
     for number, panel in enumerate(chart.panels):
         keys.append(f"{key}-{number}")
         data["plots"][keys[-1]] = plotly_figure(panel) | {"height": panel.height}
     legend = list(chart.legend())
-    return Plot(chart, drawing(draw(chart)), keys, legend if len(legend) > 1 else [])
-
-
-def drawing(figure: Figure) -> Image:
-    """A figure of lines and text: PNG of few colours."""
-    from PIL import Image as Pillow
-
-    small = _pixels(figure).quantize(_PALETTE, dither=Pillow.Dither.NONE)
-    return _image(small, "png", optimize=True)
-
-
-def photograph(figure: Figure) -> Image:
-    """A figure full of points: WebP, a quarter of the size of a PNG."""
-    return _image(_pixels(figure), "webp", quality=_QUALITY)
-
-
-def _pixels(figure: Figure) -> Pillow.Image:
-    import matplotlib as mpl
-    from PIL import Image as Pillow
-
-    stream = io.BytesIO()
-    with mpl.rc_context(STYLE):
-        figure.savefig(stream, format="png", dpi=_DPI)
-    return Pillow.open(stream).convert("RGB")
-
-
-def _image(picture: Pillow.Image, form: str, **options: Any) -> Image:
-    stream = io.BytesIO()
-    picture.save(stream, form, **options)
-    text = b64encode(stream.getvalue()).decode("ascii")
-    return Image(f"data:image/{form};base64,{text}", picture.width, picture.height)
+    return Plot(chart, drawing(draw(chart, titled=False)), keys, legend if len(legend) > 1 else [])
 
 
 def _pretty(text: str) -> str:

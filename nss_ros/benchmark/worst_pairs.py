@@ -82,7 +82,11 @@ def pair_figure(log: Log, evaluation: Evaluation, record: PairRecord) -> Figure:
     target = log.fragments[record.pair.target].points
     source = log.fragments[record.pair.source].points
     sides = (
-        ("Source at the estimate", ESTIMATE, evaluation.edges.pairwise.T_target_source[record.edge]),
+        (
+            "Source at the estimate",
+            ESTIMATE,
+            evaluation.edges.pairwise.T_target_source[record.edge],
+        ),
         ("Source in truth", TRUTH, evaluation.edges.T_target_source[record.edge]),
     )
     moved = [transform_points(T, source).astype(np.float32) for _, _, T in sides]
