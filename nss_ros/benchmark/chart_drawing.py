@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PANEL = 4.6, 3.0  # inches
+_PANEL = 3.6, 3.0  # inches
 _WIDE = 8.6
 _DASH = (0, (4, 2))
 

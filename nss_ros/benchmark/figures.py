@@ -405,7 +405,7 @@ def timing(times: RunTiming) -> Chart | None:
 
 def _count(name: str, times: Floats, colour: str) -> Series:
     chosen = spread(len(times)) if len(times) else np.zeros(0, dtype=np.intp)
-    return Series(name, times[chosen], chosen + 1.0, colour)
+    return Series(name, times[chosen], (chosen + 1).astype(np.float64), colour)
 
 
 def _waits(times: RunTiming, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from nss_ros.benchmark.run import Run
+from nss_ros.fragment import FragmentId
 
 
 def facts(run: Run) -> list[tuple[str, str]]:
