@@ -7,6 +7,8 @@ from base64 import b64encode
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from nss_ros.dataset.figures import STYLE
 
 if TYPE_CHECKING:
@@ -48,12 +50,14 @@ def photograph(figure: Figure) -> Image:
 
 def _pixels(figure: Figure) -> Pillow.Image:
     import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image as Pillow
 
-    stream = io.BytesIO()
     with mpl.rc_context(STYLE):
-        figure.savefig(stream, format="png", dpi=_DPI)
-    return Pillow.open(stream).convert("RGB")
+        figure.set_dpi(_DPI)
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        return Pillow.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 
 
 def _image(picture: Pillow.Image, form: str, **options: Any) -> Image:
