@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nss_ros.benchmark.chart import Axis, Chart, Mark, Panel, Series
 from nss_ros.benchmark.map_view import MapView
-from nss_ros.benchmark.metrics import Floats
+from nss_ros.benchmark.metrics import MAX_RTE, Floats
 from nss_ros.dataset.figures import STAGE_COLOURS, STYLE
 from nss_ros.fragment import FragmentPair, Points
 from nss_ros.multiway.pose_graph import EdgeStatus, PoseGraph
@@ -130,8 +130,7 @@ def before_after_figure(before: MapView, after: MapView) -> Figure:
             inks = {stage_colour(view.stages, s): points for s, points in view.points.items()}
             plan, section = grid[:, column]
             _draw_view(plan, section, view, inks, low, high)
-            far = f": spots off by {view.offset:.2f} m (RMS)" if np.isfinite(view.offset) else ""
-            plan.set_title(name + far)
+            plan.set_title(f"{name}{_off(view)}")
             section.set_xlabel("x (m)")
             if column:
                 plan.tick_params(labelleft=False)
@@ -142,6 +141,15 @@ def before_after_figure(before: MapView, after: MapView) -> Figure:
             handles=stage_handles(after.stages), loc="outside lower center", frameon=False, ncols=6
         )
     return figure
+
+
+def _off(view: MapView) -> str:
+    """How far the spots of a view are from their true places, as part of a title."""
+    gaps = view.gaps
+    if not len(gaps):
+        return ""
+    near = int((gaps <= MAX_RTE).sum())
+    return f": {near} of {len(gaps)} spots within {MAX_RTE:g} m, median off {np.median(gaps):.2f} m"
 
 
 def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, str]) -> Chart:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from nss_ros.bag import Log
 from nss_ros.benchmark.displacement import alignment
 from nss_ros.fragment import FragmentId, Points, voxelize
-from nss_ros.geometry import Transform, from_yaw, transform_points
+from nss_ros.geometry import Transform, from_yaw, inverse, transform_points
 from nss_ros.multiway.measurement import measurement
 from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.multiway.spanning_tree import components, spanning_tree_poses
@@ -21,8 +21,10 @@ MOST_POINTS = 3_000_000
 
 _ABOVE_FLOOR = 0.25, 2.1  # metres: of a slice that shows walls, without floor and ceiling
 _VOXEL = 0.03
+_AGREE = 0.5  # metres: spots that are in place
 _NEAR = 0.8  # metres: a spot that a section passes
 _YAW_STEP = 1.0  # degrees
+_DIRECTION_FRAGMENTS = 60
 _UPRIGHT_POINTS = 50_000
 _YAW_BIN = 0.05  # metres
 
@@ -37,17 +39,15 @@ class MapView:
         area: of the fragments.
         points: (n, 3) by stage, ascending, metres; empty without point clouds.
         spots: where each fragment was taken from, (3,).
-        offset: root mean square distance of the spots from their true places after the best
-            rigid alignment, metres; NaN without ground truth.
-        turn: rotation from the frame of the truth, or else of the map, to this one.
+        gaps: how far the spots are from their true places after `consensus`, metres; empty
+            without ground truth.
         level: z is up, as far as is known; else up is the direction in which the map is thinnest.
     """
 
     area: str
     points: dict[int, Points]
     spots: dict[FragmentId, NDArray[np.float64]]
-    offset: float
-    turn: Transform
+    gaps: NDArray[np.float64]
     level: bool
 
     @property
@@ -115,32 +115,48 @@ def map_view(log: Log, poses: Poses, like: MapView | None = None) -> MapView:
     ids = sorted(poses)
     truth = _true_poses(log.ground_truth, ids)
     known = [id_ for id_ in ids if id_ in truth]
-    align, offset = np.eye(4), float("nan")
+    level = all(log.fragments[id_].gravity_aligned for id_ in ids if id_ in log.fragments)
+    align, gaps = np.eye(4), np.zeros(0)
     if known:
         estimates, targets = (np.stack([each[id_] for id_ in known]) for each in (poses, truth))
-        align = alignment(estimates, targets)
-        gaps = transform_points(align, estimates[:, :3, 3]) - targets[:, :3, 3]
-        offset = float(np.sqrt(np.mean(np.sum(gaps**2, axis=1))))
+        align = consensus(estimates, targets)
+        gaps = _gaps(align, estimates, targets)
+        # Of the true points: those of a map that is torn have no direction.
+        turn = _upright(_points(log, _some(truth), np.eye(4)), level)
     elif like is not None:
+        turn = np.eye(4)
         align = _onto(np.stack([poses[id_][:3, 3] for id_ in ids]),
                       np.stack([like.spots[id_] for id_ in ids]))  # fmt: skip
-    level = all(log.fragments[id_].gravity_aligned for id_ in ids if id_ in log.fragments)
-    points = _points(log, poses, align)
-    turn = np.eye(4)
-    if known and like is not None:
-        turn = like.turn
-    elif points and like is None:
-        turn = _upright(np.concatenate(list(points.values())), level)
-    if points:
-        points = {s: transform_points(turn, p).astype(np.float32) for s, p in points.items()}
+    else:
+        turn = _upright(_points(log, _some(poses), np.eye(4)), level)
+    shown = turn @ align
     return MapView(
         ids[0].area,
-        points,
-        {id_: transform_points(turn @ align, poses[id_][None, :3, 3])[0] for id_ in ids},
-        offset,
-        turn,
+        _points(log, poses, shown),
+        {id_: transform_points(shown, poses[id_][None, :3, 3])[0] for id_ in ids},
+        gaps,
         level,
     )
+
+
+def consensus(poses: NDArray[np.float64], true_poses: NDArray[np.float64]) -> Transform:
+    """The rigid transform A with which most of A @ poses are right, and these as well as can be.
+
+    A map that is torn is so shown with its largest whole part in place.
+
+    Args:
+        poses: (n, 4, 4), one or more.
+        true_poses: (n, 4, 4) of the same fragments.
+    """
+    best, most = np.eye(4), (-1, 0.0)
+    for pose, true_pose in zip(poses, true_poses, strict=True):
+        align = true_pose @ inverse(pose)
+        gaps = _gaps(align, poses, true_poses)
+        agreement = (int((gaps < _AGREE).sum()), -float(np.minimum(gaps, _AGREE).sum()))
+        if agreement > most:
+            best, most = align, agreement
+    near = _gaps(best, poses, true_poses) < _AGREE
+    return alignment(poses[near], true_poses[near])
 
 
 def thinned(points: Mapping[int, Points], most: int) -> dict[int, Points]:
@@ -166,6 +182,20 @@ def _points(log: Log, poses: Poses, align: Transform) -> dict[int, Points]:
     return {stage: np.concatenate(each) for stage, each in sorted(parts.items())}
 
 
+def _gaps(
+    align: Transform, poses: NDArray[np.float64], true_poses: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances of aligned spots from their true places, metres."""
+    moved = transform_points(align, poses[:, :3, 3])
+    return np.asarray(np.linalg.norm(moved - true_poses[:, :3, 3], axis=1))
+
+
+def _some(poses: Poses) -> Poses:
+    """Enough of them to find directions."""
+    ids = list(poses)
+    return {id_: poses[id_] for id_ in ids[:: -(-len(ids) // _DIRECTION_FRAGMENTS)]}
+
+
 def _true_poses(graphs: Sequence[PoseGraph], ids: Sequence[FragmentId]) -> Poses:
     """Of the graph that knows most of the fragments: frames of graphs may differ."""
     wanted = set(ids)
@@ -187,9 +217,12 @@ def _onto(spots: NDArray[np.float64], others: NDArray[np.float64]) -> Transform:
     return result
 
 
-def _upright(points: NDArray[np.floating], level: bool) -> Transform:
+def _upright(clouds: Mapping[int, Points], level: bool) -> Transform:
     """The rotation that makes z up and lays most walls along x and y."""
     turn = np.eye(4)
+    if not clouds:
+        return turn
+    points = np.concatenate(list(clouds.values()))
     points = points[:: max(1, len(points) // _UPRIGHT_POINTS)]
     if not level:
         _, axes = np.linalg.eigh(np.cov(points.T.astype(np.float64)))

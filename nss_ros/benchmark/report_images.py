@@ -55,7 +55,7 @@ def _pixels(figure: Figure) -> Pillow.Image:
 
     with mpl.rc_context(STYLE):
         figure.set_dpi(_DPI)
-        canvas = FigureCanvasAgg(figure)
+        canvas: Any = FigureCanvasAgg(figure)  # which has no types
         canvas.draw()
         return Pillow.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
 

@@ -186,7 +186,8 @@ def test_a_view_lies_in_the_frame_of_the_truth_with_walls_along_the_axes(make_ru
         extent = high - low
         assert sorted(extent[:2]) == pytest.approx([5, 6], abs=0.25)
         assert extent[2] == pytest.approx(2.8, abs=0.2)
-        assert view.offset < 1e-6 if truth else np.isnan(view.offset)
+        assert len(view.gaps) == (6 if truth else 0)
+        assert (view.gaps < 1e-6).all()
     assert view.floor() == pytest.approx(low[2], abs=0.15)
 
 
@@ -213,14 +214,28 @@ def test_the_chained_view_is_worse_where_answers_are(make_run):
     (view,) = map_views(log)
     before = chained_view(log, view)
     assert before.spots.keys() == view.spots.keys()
-    assert view.offset < 0.1
-    assert before.offset >= 0
+    assert view.gaps.max() < 0.1
+    assert before.gaps[0] > 1  # all its answers are wrong
+    assert before.gaps[1:].max() < 0.1
     answers = {
         pair: answer
         for pair, answer in log.relative_transforms.items()
         if log.pairs[0].target not in (pair.source, pair.target)
     }
     assert chained_view(replace(log, relative_transforms=answers), view) is None
+
+
+def test_a_torn_map_is_shown_with_its_largest_part_in_place(make_run):
+    log = make_run(noise=0.0)
+    nodes = tuple(
+        replace(n, T_map_fragment=exponential([4, 1, 0, 0, 0, 1]) @ n.T_map_fragment)
+        if i < 2
+        else n
+        for i, n in enumerate(log.pose_graph.nodes)
+    )
+    (view,) = map_views(replace(log, pose_graph=replace(log.pose_graph, nodes=nodes)))
+    assert (view.gaps[:2] > 1).all()
+    assert (view.gaps[2:] < 1e-6).all()
 
 
 def test_a_view_without_points_still_has_spots(make_run):

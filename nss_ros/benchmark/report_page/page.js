@@ -73,7 +73,7 @@
     type: "scatter3d", mode: "markers", text: stage.spots.map((spot) => spot[0]),
     x: stage.spots.map((spot) => spot[1]), y: stage.spots.map((spot) => spot[2]),
     z: stage.spots.map((spot) => spot[3]), hovertemplate: "%{text}<extra></extra>",
-    marker: {size: 7, symbol: "diamond", color: stage.colour, line: {width: 2, color: "#111"}},
+    marker: {size: 6, symbol: "diamond", color: stage.colour, line: {width: 2, color: "#111"}},
   });
 
   const hasWebGl = () => {
@@ -129,6 +129,7 @@
       const axis = (title) => ({title: {text: title}, backgroundcolor: "#fff", gridcolor: "#e8eaed",
         zeroline: false, showspikes: false});
       const [w, d, h] = model.extent;
+      const far = Math.max(1, 1.3 * view.clientHeight / view.clientWidth);
       const range3d = (i) => [model.origin[i], model.origin[i] + model.extent[i]];
       Plotly.newPlot(view, traces, {
         showlegend: false, margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "kept",
@@ -136,7 +137,7 @@
           aspectmode: "data", dragmode: "turntable",
           xaxis: {...axis("x (m)"), range: range3d(0)}, yaxis: {...axis("y (m)"), range: range3d(1)},
           zaxis: {...axis("z (m)"), range: range3d(2), nticks: h < 0.5 * Math.max(w, d) ? 4 : 8},
-          camera: {eye: {x: -0.85, y: -1.5, z: 1.35}, center: {x: 0.02, y: -0.02, z: -0.3}},
+          camera: {eye: {x: -0.85 * far, y: -1.5 * far, z: 1.35 * far}, center: {x: 0.02, y: -0.02, z: -0.3}},
         },
       }, {...config, scrollZoom: true});
       drawn = true;
