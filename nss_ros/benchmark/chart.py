@@ -9,7 +9,7 @@ import numpy as np
 
 from nss_ros.benchmark.metrics import Floats
 
-MAX_POINTS = 4000
+MAX_POINTS = 1200
 """Of a series; more neither print nor fit into a report."""
 
 
@@ -149,6 +149,6 @@ def distribution(values: Floats, total: int | None = None) -> tuple[Floats, Floa
     return ordered[chosen], percent[chosen]
 
 
-def spread(count: int, most: int = 800) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+def spread(count: int, most: int = 400) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """At most so many numbers of 0..count-1, evenly spaced, first and last included."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))

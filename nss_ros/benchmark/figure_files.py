@@ -14,6 +14,7 @@ from nss_ros.benchmark.map_figures import (
     stage_figure,
 )
 from nss_ros.benchmark.map_view import chained_view, map_views
+from nss_ros.benchmark.pair_list import pair_chart
 from nss_ros.benchmark.pair_records import pair_records
 from nss_ros.benchmark.run import Run
 from nss_ros.benchmark.worst_pairs import pair_figure, worst_pairs
@@ -53,8 +54,12 @@ def _run_figures(run: Run, worst: int) -> Iterator[tuple[str, Figure]]:
         before = chained_view(run.log, view)
         if before is not None:
             yield f"before_after_{view.area}", before_after_figure(before, view)
+    records = pair_records(run.log, run.evaluation)
+    spots = pair_chart(records, {})
+    if spots is not None:
+        yield "pairs", draw(spots)
     if run.evaluation is not None:
-        for each in worst_pairs(run.log, pair_records(run.log, run.evaluation), worst):
+        for each in worst_pairs(run.log, records, worst):
             pair = each.record.pair
             figure = pair_figure(run.log, run.evaluation, each.record)
             yield f"pair_{pair.source}_{pair.target}", figure

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nss_ros.benchmark.chart import Axis, Chart, Mark, Panel, Series
+from nss_ros.benchmark.chart import MAX_POINTS, Axis, Chart, Mark, Panel, Series, spread
 from nss_ros.benchmark.map_view import MapView
 from nss_ros.benchmark.metrics import MAX_RTE, Floats
 from nss_ros.dataset.figures import STAGE_COLOURS, STYLE
@@ -172,10 +172,13 @@ def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, st
         ]
         if not edges:
             continue
+        label = f"{name} ({len(edges):,})"
+        if len(edges) > MAX_POINTS:
+            label = f"{name} ({MAX_POINTS:,} of {len(edges):,})"
+            edges = [edges[i] for i in spread(len(edges), MAX_POINTS)]
         ends = np.array([[view.spots[e.pair.source], view.spots[e.pair.target]] for e in edges])
         gaps = np.full((len(edges), 1), np.nan)
         x, y = (np.hstack((ends[:, :, axis], gaps)).ravel() for axis in (0, 1))
-        label = f"{name} ({len(edges):,})"
         series.append(Series(label, x, y, colour, size=width, alpha=alpha))
         middle = ends.mean(axis=1)
         # Lines cannot be pointed at: their middles can.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -15,7 +14,6 @@ from nss_ros.benchmark.metrics import successes
 from nss_ros.fragment import FragmentPair
 from nss_ros.multiway.pose_graph import Edge, EdgeStatus
 from nss_ros.registration.relative_transform import RelativeTransform
-from nss_ros.table import Align, Column, Table
 
 NAN = float("nan")
 
@@ -123,63 +121,6 @@ def pair_records(log: Log, evaluation: Evaluation | None) -> list[PairRecord]:
             **_told(answer, placed.get(pair)),
         )
     return sorted(records.values(), key=_badness)
-
-
-def pair_table(records: Sequence[PairRecord], total: int, scored: bool) -> Table:
-    """Pairs as a table.
-
-    Args:
-        records: the rows.
-        total: number of pairs of the run, of which these may be the worst.
-        scored: there is ground truth.
-    """
-    errors = (
-        Column("OR", form=".2f"),
-        Column("TCR", form=".2f"),
-        Column("RRE", "deg", ".2f"),
-        Column("RTE", "m", ".3f"),
-        Column("map RRE", "deg", ".2f"),
-        Column("map RTE", "m", ".3f"),
-    )
-    rows = []
-    for record in records:
-        values = (
-            (
-                record.overlap_ratio, record.temporal_change, record.rre, record.rte,
-                record.map_rre, record.map_rte,
-            )
-            if scored
-            else ()
-        )  # fmt: skip
-        rows.append(
-            (
-                str(record.pair.source), str(record.pair.target), record.stages,
-                record.outcome.word, *values, record.confidence, record.in_map or None,
-                record.reason,
-            )
-        )  # fmt: skip
-    shown = f" The first {len(records):,} of {total:,} pairs." if len(records) < total else ""
-    caption = (
-        "Worst first: wrong answers by their error, then failures, then pairs without an answer. "
-        "Right: RRE <= 10 deg and RTE <= 0.2 m. OR: overlap ratio, TCR: temporal change ratio."
-        if scored
-        else "In the order of failures, pairs without an answer, and answers."
-    )
-    return Table(
-        "Pairs",
-        (
-            Column("source", align=Align.LEFT),
-            Column("target", align=Align.LEFT),
-            Column("stages", align=Align.LEFT),
-            Column("outcome", align=Align.LEFT),
-            *(errors if scored else ()),
-            Column("confidence", form=".2f"),
-            Column("in the map", align=Align.LEFT),
-            Column("reason", align=Align.LEFT),
-        ),
-        tuple(rows),
-        caption + shown,
-    )
 
 
 def _of_edge(

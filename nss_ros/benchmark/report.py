@@ -23,7 +23,8 @@ from nss_ros.benchmark.map_figures import (
 )
 from nss_ros.benchmark.map_model import map_model
 from nss_ros.benchmark.map_view import chained_view, map_views
-from nss_ros.benchmark.pair_records import Outcome, PairRecord, pair_records, pair_table
+from nss_ros.benchmark.pair_list import pair_chart, pair_table
+from nss_ros.benchmark.pair_records import Outcome, PairRecord, pair_records
 from nss_ros.benchmark.report_images import Image, drawing, photograph
 from nss_ros.benchmark.run import Run
 from nss_ros.benchmark.run_facts import facts
@@ -188,6 +189,9 @@ def _run_page(key: str, run: Run, worst: int, most_points: int, data: dict[str, 
             )
             for each in worst_pairs(run.log, records, worst)
         ]
+    spots = pair_chart(records, rows)
+    if spots is not None:
+        page.plots["pairs"] = _plot(f"{key}-pairs-chart", spots, data)
     if records:
         page.pair_ids = list(rows.values())
         page.pair_table = pair_table(

@@ -12,7 +12,8 @@ from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.headline_cards import cards
 from nss_ros.benchmark.map_model import map_model
 from nss_ros.benchmark.map_view import map_views
-from nss_ros.benchmark.pair_records import Outcome, pair_records, pair_table
+from nss_ros.benchmark.pair_list import pair_chart, pair_table
+from nss_ros.benchmark.pair_records import Outcome, pair_records
 from nss_ros.benchmark.report import report
 from nss_ros.benchmark.run import measured_run
 from nss_ros.benchmark.run_facts import facts
@@ -149,6 +150,18 @@ def test_pairs_are_listed_worst_first(measured, make_run):
     assert "The first 6 of 15 pairs" in table.caption
     assert table.rows[0][0] == str(records[0].pair.source)
     assert records[0].confidence == 0.2
+
+
+def test_the_chart_of_pairs_leads_to_their_rows(measured):
+    run = measured(wrong=(4, 9))
+    records = pair_records(run.log, run.evaluation)
+    chart = pair_chart(records, {records[0].pair: "r0-p1"})
+    right, wrong = chart.panels[0].series
+    assert (right.name, wrong.name) == ("right (13)", "wrong (2)")
+    assert wrong.links[0] == "r0-p1"
+    assert str(records[0].pair.target) in wrong.hover[0]
+    assert wrong.x[0] == records[0].overlap_ratio
+    assert pair_chart(pair_records(run.log, None), {}) is None
 
 
 def test_pairs_without_ground_truth_are_listed_too(measured):
