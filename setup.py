@@ -27,6 +27,7 @@ setup(
             "registration/gravity/*.safetensors",
             "simulation/sites/*.yaml",
             "benchmark/paper.yaml",
+            "benchmark/report_page/*",
         ]
     },
     data_files=[
@@ -37,6 +38,7 @@ setup(
     ],
     install_requires=[
         "setuptools",
+        "jinja2",
         "joblib",
         "matplotlib",
         "mcap",

@@ -19,6 +19,7 @@ from nss_ros.cli.map import map_
 from nss_ros.cli.pairs import pairs
 from nss_ros.cli.picture import picture
 from nss_ros.cli.refine import refine
+from nss_ros.cli.report import report
 from nss_ros.cli.score import score
 from nss_ros.cli.settings import config, methods
 from nss_ros.cli.simulate import simulate
@@ -37,6 +38,7 @@ app = typer.Typer(
 app.command("demo")(demo)
 app.command("map")(map_)
 app.command("score")(score)
+app.command("report")(report)
 app.command("compare")(compare_logs)
 app.command("import")(import_folder)
 app.command("export")(export)
