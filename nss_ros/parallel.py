@@ -13,7 +13,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from enum import StrEnum
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
@@ -21,7 +21,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from nss_ros.errors import InputError, WorkerDiedError
-from nss_ros.worker_process import stop_now, worker_pool
+from nss_ros.worker_process import end_with, stop_now, worker_pool
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -105,6 +105,7 @@ def _on_joblib(
     call: Callable[[Item], Result], items: Iterable[Item], workers: int, in_order: bool
 ) -> Iterator[Result]:
     how = "generator" if in_order else "generator_unordered"
+    bound = partial(_bound_call, os.getpid(), call)
     with _one_thread(), parallel_config("loky"):
         calls = Parallel(
             n_jobs=workers or os.cpu_count() or 1,
@@ -112,9 +113,20 @@ def _on_joblib(
             pre_dispatch=f"{_IN_REACH}*n_jobs",
         )
         try:
-            yield from calls(delayed(call)(item) for item in items)
+            yield from calls(delayed(bound)(item) for item in items)
         except TerminatedWorkerError as error:
             raise _death() from error
+
+
+def _bound_call(parent: int, call: Callable[[Item], Result], item: Item) -> Result:
+    if os.getppid() == parent:  # joblib without processes has none
+        _end_with(parent)
+    return call(item)
+
+
+@cache
+def _end_with(parent: int) -> None:
+    end_with(parent)  # joblib's processes would wait for minutes
 
 
 def _in_one_process(call: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from nss_ros import __version__
 
-_RUN_PACKAGES = ("mcap", "numpy", "open3d", "open3d-cpu", "rosbags", "scipy")
+_RUN_PACKAGES = ("mcap", "numpy", "open3d", "open3d-cpu", "rosbags", "scipy", "torch")
 
 
 def git_revision() -> str:

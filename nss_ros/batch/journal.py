@@ -28,9 +28,17 @@ _PREPARE = "prepare_seconds"
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A result and when it was there, nanoseconds since the epoch."""
+    """A result as it was written.
+
+    Attributes:
+        stamp: when it was there, nanoseconds since the epoch.
+        data: CDR bytes of the message.
+        result: what the message says: a session that goes on has the same numbers, to the bit,
+            as one that was never interrupted, and as the nodes of a graph.
+    """
 
     stamp: int
+    data: bytes
     result: RelativeTransform
 
 
@@ -70,9 +78,10 @@ class Journal:
         writer = self._open()
         writer.add_topic(topic, topics.RELATIVE_TRANSFORMS)
         message = relative_transform_message(result, stamp, rosbags_family())
-        writer.write(topic, stamp, encode(message))
+        data = encode(message)
+        writer.write(topic, stamp, data)
         writer.flush()
-        self.of(method)[result.pair] = Entry(stamp, result)
+        self.of(method)[result.pair] = Entry(stamp, data, relative_transform_from(message))
 
     def add_preparation(self, method: str, fragment: FragmentId, seconds: float) -> None:
         """Note how long the features of a fragment took."""
@@ -103,7 +112,7 @@ class Journal:
         for raw in reader.messages({topics.RELATIVE_TRANSFORMS.type}):
             method = raw.topic.removeprefix("/").removesuffix(f"/{topics.RELATIVE_TRANSFORMS.name}")
             result = relative_transform_from(decode(raw))
-            self.of(method).setdefault(result.pair, Entry(raw.stamp, result))
+            self.of(method).setdefault(result.pair, Entry(raw.stamp, raw.data, result))
         for name, value in reader.metadata.items():
             if not name.startswith(f"{_PREPARE}/"):
                 raise BagError(f"{file} is not a journal of 'nss benchmark': remove it.")

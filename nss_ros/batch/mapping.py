@@ -53,6 +53,8 @@ def joined_maps(maps: Sequence[PoseGraph]) -> PoseGraph:
     numbers = _component_numbers(maps)
     nodes = (
         replace(node, component=numbers[number, node.component])
+        if node.status is NodeStatus.PLACED
+        else node
         for number, graph in enumerate(maps)
         for node in graph.nodes
     )
@@ -69,13 +71,9 @@ def _component_numbers(maps: Sequence[PoseGraph]) -> dict[tuple[int, int], int]:
     """The new number of each map's components: largest first, ties in canonical order."""
     members: dict[tuple[int, int], list[FragmentId]] = {}
     for number, graph in enumerate(maps):
-        for node in graph.nodes:
-            members.setdefault((number, node.component), []).append(node.id)
-    placed = {n.id for graph in maps for n in graph.nodes if n.status is NodeStatus.PLACED}
-    order = sorted(
-        members,
-        key=lambda each: (-sum(id_ in placed for id_ in members[each]), min(members[each])),
-    )
+        for id_, node in graph.poses().items():
+            members.setdefault((number, node.component), []).append(id_)
+    order = sorted(members, key=lambda each: (-len(members[each]), min(members[each])))
     return {each: number for number, each in enumerate(order)}
 
 

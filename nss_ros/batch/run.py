@@ -27,7 +27,6 @@ from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
 from nss_ros.dataset.bag_export import dataset_metadata, export_fragments, ground_truth_graph
 from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME, DatasetFolder
-from nss_ros.dataset.manifest import current_versions
 from nss_ros.dataset.pairs import PairTable
 from nss_ros.errors import InputError
 from nss_ros.multiway.pose_graph import PoseGraph
@@ -37,6 +36,8 @@ from nss_ros.registration.method import find_method, load_method
 from nss_ros.versions import run_versions
 
 _PAIRWISE = "pairwise"
+_INDIFFERENT = ("start_time", "platform")
+"""Versions that a benchmark may go on with when they differ."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +343,7 @@ def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict
         "training": choice.training,
         "registration": registration,
         "pose_graph": multiway,
-        "versions": current_versions(),
+        "versions": {k: v for k, v in run_versions().items() if k not in _INDIFFERENT},
         "plugins": {each.name: _origin(each) for each in plugins},
     }
 

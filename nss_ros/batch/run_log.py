@@ -16,7 +16,6 @@ from nss_ros.messages import (
     fragment_poses_message,
     pair_message,
     pose_graph_message,
-    relative_transform_message,
     rosbags_family,
 )
 from nss_ros.multiway.pose_graph import PoseGraph
@@ -69,9 +68,9 @@ def _write(
     for entry in entries:
         message = pair_message(entry.result.pair, begin, family)
         writer.write("/fragment_pairs", begin, encode(message))
-    for entry in sorted(entries, key=lambda each: (each.stamp, each.result.pair)):
-        message = relative_transform_message(entry.result, entry.stamp, family)
-        writer.write("/relative_transforms", entry.stamp, encode(message))
+    # Not in the order of their stamps: resamplings of the score depend on the order of answers.
+    for entry in entries:
+        writer.write("/relative_transforms", entry.stamp, entry.data)
     if map_ is None:
         return
     end = max((entry.stamp for entry in entries), default=begin)
