@@ -168,7 +168,8 @@ def read_log(path: Path, points: bool = True) -> Log:
 def with_source_points(log: Log) -> Log:
     """A log that was recorded without point clouds, with those of the bags that were played.
 
-    Bags that moved or changed since (their hash tells) are left out: the log then stays without.
+    Paths of bags that are relative to the log's folder move with it. Bags that moved or changed
+    since (their hash tells) are left out: the log then stays without.
 
     Raises:
         BagError: a bag is there, unchanged, and yet cannot be read.
@@ -176,7 +177,7 @@ def with_source_points(log: Log) -> Log:
     fragments = dict(log.fragments)
     number = 0
     while not log.fragments and (name := log.metadata.get(f"bag_{number}")):
-        bag = Path(name)
+        bag = Path(name) if Path(name).exists() else log.path / name
         if bag.exists() and bag_digest(bag) == log.metadata.get(f"bag_{number}_sha256"):
             fragments |= read_log(bag).fragments
         number += 1

@@ -35,3 +35,7 @@ class RunError(NssError):
 
 class NodeError(RunError):
     """A node died; the message names it and where its output lies."""
+
+
+class WorkerDiedError(RunError):
+    """A process that computed was killed or crashed."""

@@ -1,27 +1,35 @@
 """Independent calls on all cores of one machine (joblib), or of a Ray cluster.
 
-Results come in the order of the items, so whatever runs where, the outcome is the same.
+`run` gives results in the order of the items, so whatever runs where, the outcome is the same;
+`stream` gives each as soon as it is there.
 """
 
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from enum import StrEnum
-from functools import cache, partial
-from typing import TypeVar
+from functools import cache, lru_cache, partial
+from typing import Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
-from nss_ros.errors import InputError
+from nss_ros.errors import InputError, WorkerDiedError
+from nss_ros.worker_process import end_with, stop_now, worker_pool
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 # With more threads than cores numpy is slower, and its sums depend on the number of threads.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_IN_REACH = 4
+"""Calls that are handed out at a time, for each worker."""
 
 
 class Engine(StrEnum):
@@ -37,10 +45,10 @@ def run(
     workers: int = 0,
     engine: Engine = Engine.LOCAL,
 ) -> Iterator[Result]:
-    """Results of a function for all items, in their order, as they come (with Ray: at the end).
+    """Results of a function for all items, in their order, as they come.
 
     Each call has one thread of the linear algebra libraries, in this process too, so that the
-    results are the same bytes for any number of workers.
+    results are the same bytes for any number of workers. Items are taken as they are needed.
 
     Args:
         function: importable by name, with arguments and results that can be pickled.
@@ -51,55 +59,161 @@ def run(
             is started if it names none).
 
     Raises:
-        InputError: Ray was asked for and is not installed.
+        InputError: Ray was asked for and is not installed, or its cluster does not answer.
+        WorkerDiedError: a process was killed or crashed.
     """
     call = partial(_call, function)
-    if engine is Engine.LOCAL and workers == 1:
+    if engine is Engine.RAY:
+        yield from _on_ray(call, items, workers, in_order=True)
+    elif workers == 1:
         yield from map(call, items)
-        return
-    with _backend(engine):
-        count = workers or (-1 if engine is Engine.RAY else os.cpu_count() or 1)
-        # joblib's Ray backend gives its results all at once, at the end.
-        how = "generator" if engine is Engine.LOCAL else "list"
-        calls = Parallel(n_jobs=count, return_as=how, pre_dispatch="4*n_jobs")
-        yield from calls(delayed(call)(item) for item in items)
+    else:
+        yield from _on_joblib(call, items, workers, in_order=True)
+
+
+def stream(
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int = 0,
+    engine: Engine = Engine.LOCAL,
+) -> Iterator[Result]:
+    """As `run`, each result as soon as it is there, in any order; never in this process.
+
+    After a WorkerDiedError the results of some of the items that were taken are missing.
+    """
+    call = partial(_call, function)
+    if engine is Engine.RAY:
+        yield from _on_ray(call, items, workers, in_order=False)
+    elif workers == 1:
+        yield from _in_one_process(call, items)
+    else:
+        yield from _on_joblib(call, items, workers, in_order=False)
 
 
 def _call(function: Callable[[Item], Result], item: Item) -> Result:
-    with _libraries().limit(limits=1):
+    with _libraries(len(sys.modules)).limit(limits=1):
         return function(item)
 
 
-@cache
-def _libraries() -> ThreadpoolController:
+@lru_cache(maxsize=1)
+def _libraries(_: int) -> ThreadpoolController:
+    """The libraries that are loaded; looked up again when modules were imported since."""
     return ThreadpoolController()
 
 
-@contextmanager
-def _backend(engine: Engine) -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ |= dict.fromkeys(_ONE_THREAD, "1")  # read by the workers when they start
+def _on_joblib(
+    call: Callable[[Item], Result], items: Iterable[Item], workers: int, in_order: bool
+) -> Iterator[Result]:
+    how = "generator" if in_order else "generator_unordered"
+    bound = partial(_bound_call, os.getpid(), call)
+    with _one_thread(), parallel_config("loky"):
+        calls = Parallel(
+            n_jobs=workers or os.cpu_count() or 1,
+            return_as=how,
+            pre_dispatch=f"{_IN_REACH}*n_jobs",
+        )
+        try:
+            yield from calls(delayed(bound)(item) for item in items)
+        except TerminatedWorkerError as error:
+            raise _death() from error
+
+
+def _bound_call(parent: int, call: Callable[[Item], Result], item: Item) -> Result:
+    if os.getppid() == parent:  # joblib without processes has none
+        _end_with(parent)
+    return call(item)
+
+
+@cache
+def _end_with(parent: int) -> None:
+    end_with(parent)  # joblib's processes would wait for minutes
+
+
+def _in_one_process(call: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    waiting: set[Future[Result]] = set()
+    pool = worker_pool(1)
     try:
-        if engine is Engine.LOCAL:
-            with parallel_config("loky"):
-                yield
-        else:
-            _register_ray()
-            with parallel_config("ray"):
-                yield
+        for item in items:
+            waiting.add(pool.submit(call, item))
+            if len(waiting) > 1:  # one that runs, one in reach
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                yield from (future.result() for future in done)
+        yield from (future.result() for future in waiting)
+    except BrokenProcessPool as error:
+        raise _death() from error
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        stop_now(pool)
 
 
-def _register_ray() -> None:
+def _on_ray(
+    call: Callable[[Item], Result], items: Iterable[Item], workers: int, in_order: bool
+) -> Iterator[Result]:
+    ray = _connected_ray()
+    remote = ray.remote(_called)
+    # All workers are busy if there are as many calls as workers; in order, some wait for others.
+    most = workers or _IN_REACH * max(1, int(ray.cluster_resources().get("CPU", 1)))
+    waiting: list[Any] = []
+
+    def next_result() -> Any:
+        ready = waiting[0] if in_order else ray.wait(waiting, num_returns=1)[0][0]
+        waiting.remove(ready)
+        return ray.get(ready)
+
     try:
-        from ray.util.joblib import register_ray
+        for item in items:
+            waiting.append(remote.remote(call, item))
+            if len(waiting) >= most:
+                yield next_result()
+        while waiting:
+            yield next_result()
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from error  # the error of the call, as it is without Ray
+    except (ray.exceptions.WorkerCrashedError, ray.exceptions.OutOfMemoryError) as error:
+        raise _death() from error
+    finally:
+        for reference in waiting:
+            ray.cancel(reference)
+
+
+def _called(call: Callable[[Item], Result], item: Item) -> Result:
+    return call(item)  # Ray takes functions, and no partial ones
+
+
+def _connected_ray() -> Any:
+    try:
+        import ray
     except ImportError as error:
         raise InputError(
             "The engine 'ray' needs the package ray: pip install 'ray', or use the engine 'local'."
         ) from error
-    register_ray()
+    if not ray.is_initialized():
+        address = os.environ.get("RAY_ADDRESS", "")
+        try:
+            if address:
+                ray.init(log_to_driver=False)
+            else:
+                ray.init(address="local", include_dashboard=False, log_to_driver=False)
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            raise InputError(
+                f"No Ray cluster answers at RAY_ADDRESS={address}: start one with 'ray start', or "
+                "use the engine 'local'."
+            ) from error
+    return ray
+
+
+def _death() -> WorkerDiedError:
+    return WorkerDiedError("A worker process was killed or crashed: is there enough memory?")
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ |= dict.fromkeys(_ONE_THREAD, "1")  # read by the workers when they start
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

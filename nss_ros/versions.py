@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
+import time
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from nss_ros import __version__
+
+_RUN_PACKAGES = ("mcap", "numpy", "open3d", "open3d-cpu", "rosbags", "scipy", "torch")
 
 
 def git_revision() -> str:
@@ -26,3 +32,16 @@ def package_versions(packages: Iterable[str]) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return versions
+
+
+def run_versions() -> dict[str, str]:
+    """What a log tells of the code and the machine that made it, and when it began (UTC)."""
+    values = {
+        "nss_ros": __version__,
+        "git_revision": git_revision(),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "start_time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+    installed = package_versions(_RUN_PACKAGES)
+    return values | {f"version_{package}": number for package, number in installed.items()}

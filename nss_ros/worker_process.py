@@ -61,16 +61,20 @@ def stop_now(pool: ProcessPoolExecutor) -> None:
     pool.shutdown(wait=True, cancel_futures=True)
 
 
+def end_with(parent: int) -> None:
+    """Have this process end with its parent, even when that was killed and could not say so."""
+    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+
+
 def _start(
     parent: int, initializer: Callable[..., None] | None, arguments: tuple[Any, ...]
 ) -> None:
-    threading.Thread(target=_watch, args=(parent,), daemon=True).start()
+    end_with(parent)
     if initializer is not None:
         initializer(*arguments)
 
 
 def _watch(parent: int) -> None:
-    """End with the parent, even when it was killed and could not say so."""
     while os.getppid() == parent:
         time.sleep(_WATCH_PERIOD)
     os._exit(1)

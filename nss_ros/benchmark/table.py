@@ -87,9 +87,17 @@ def notes(score: LogScore) -> list[str]:
     return result
 
 
-def run_names(scores: Sequence[LogScore]) -> list[str]:
-    """The method of each run; with the log's name where that does not tell them apart."""
-    keys = [(score.split, score.training, score.method) for score in scores]
+def run_names(scores: Sequence[LogScore], maps_apart: bool = False) -> list[str]:
+    """The method of each run; or the log's name where that does not tell them apart.
+
+    Args:
+        scores: of the runs.
+        maps_apart: the multi-way method is told beside the name.
+    """
+    keys = [
+        (score.split, score.training, score.method, score.synchronizer if maps_apart else "")
+        for score in scores
+    ]
     count = Counter(keys)
     names = []
     for score, key in zip(scores, keys, strict=True):
@@ -168,7 +176,7 @@ def training_table(scores: Sequence[LogScore]) -> Table:
 def multiway_table(scores: Sequence[LogScore]) -> Table:
     """The paper's multi-way table: the relative transforms, then each synchronizer's map."""
     rows: list[Row] = []
-    names = run_names(scores)
+    names = run_names(scores, maps_apart=True)
     any_split = any(score.split for score in scores)
     shown: set[tuple[str, str, tuple[float, ...]]] = set()
     for score, name in zip(scores, names, strict=True):

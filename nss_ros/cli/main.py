@@ -10,6 +10,7 @@ from rich.markup import escape
 
 from nss_ros import __version__
 from nss_ros.cli.align import align
+from nss_ros.cli.benchmark import benchmark
 from nss_ros.cli.compare import compare_logs
 from nss_ros.cli.demo import demo
 from nss_ros.cli.export import export
@@ -37,6 +38,7 @@ app = typer.Typer(
 )
 app.command("demo")(demo)
 app.command("map")(map_)
+app.command("benchmark")(benchmark)
 app.command("score")(score)
 app.command("report")(report)
 app.command("compare")(compare_logs)

@@ -35,7 +35,7 @@ def export_bag(path: Path, dataset: DatasetFolder, pairs: PairTable, min_overlap
     """
     chosen = pairs.take(pairs.overlap_ratio >= min_overlap)
     graphs = [ground_truth_graph(dataset, area, chosen) for area in dataset.areas()]
-    write_bag(path, _fragments(dataset), chosen.pairs, graphs, _metadata(dataset))
+    write_bag(path, _fragments(dataset), chosen.pairs, graphs, dataset_metadata(dataset))
 
 
 def _fragments(dataset: DatasetFolder) -> Iterator[Fragment]:
@@ -63,7 +63,17 @@ def ground_truth_graph(dataset: DatasetFolder, area: str, pairs: PairTable) -> P
     return PoseGraph(nodes, edges, name=f"Bldg{area}_Graph1")
 
 
-def _metadata(dataset: DatasetFolder) -> dict[str, str]:
+def export_fragments(path: Path, dataset: DatasetFolder) -> None:
+    """Write all fragments of a dataset, in canonical order, as a bag without pairs and truth.
+
+    Raises:
+        BagError: the folder exists or cannot be written.
+        FormatError: a fragment cannot be read.
+    """
+    write_bag(path, _fragments(dataset), (), (), dataset_metadata(dataset))
+
+
+def dataset_metadata(dataset: DatasetFolder) -> dict[str, str]:
     """How the dataset was made: every setting under its dotted name."""
     manifest = dataset.manifest
     told = {"simulation": manifest.simulation, "sites": manifest.sites, "steps": manifest.steps}

@@ -7,7 +7,6 @@ which bags were played. Everything that was flushed survives a kill -9.
 from __future__ import annotations
 
 import json
-import platform
 import sys
 import time
 from importlib import import_module
@@ -19,7 +18,7 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
 from nss_msgs.msg import PlaybackStatus
-from nss_ros import __version__, topics
+from nss_ros import topics
 from nss_ros.bag_reader import BagReader, bag_digest
 from nss_ros.bag_writer import BagWriter
 from nss_ros.config import RecorderConfig
@@ -29,7 +28,7 @@ from nss_ros.nodes.parameters import declare_parameters
 from nss_ros.nodes.qos import subscription_qos
 from nss_ros.nodes.spin import Background, run_node
 from nss_ros.topics import Topic
-from nss_ros.versions import git_revision, package_versions
+from nss_ros.versions import run_versions
 
 _ALWAYS = (
     topics.GROUND_TRUTH,
@@ -44,7 +43,6 @@ _ALWAYS = (
 )
 _MAPS = (topics.MAP, topics.MARKERS)
 _STAGE_MAP_PERIOD = 0.5
-_PACKAGES = ("mcap", "numpy", "open3d", "open3d-cpu", "rosbags", "scipy")
 
 
 class Recorder(Node):
@@ -62,7 +60,7 @@ class Recorder(Node):
             raise ConfigError("The recorder has no output: set its parameter 'output' to a folder.")
         metadata = _read_metadata(self._config.metadata_file)
         self._writer = BagWriter(Path(self._config.output))
-        self._writer.add_metadata(_versions() | metadata)
+        self._writer.add_metadata(run_versions() | metadata)
         self._messages: SimpleQueue[tuple[str, int, bytes]] = SimpleQueue()
         self._bags: set[str] = set()
         self._count = self._bytes = 0
@@ -175,18 +173,6 @@ def _read_metadata(name: str) -> dict[str, str]:
     if not isinstance(values, dict) or not all(isinstance(v, str) for v in values.values()):
         raise ConfigError(f"The metadata file {name} must be a JSON object of strings.")
     return values
-
-
-def _versions() -> dict[str, str]:
-    values = {
-        "nss_ros": __version__,
-        "git_revision": git_revision(),
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "start_time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-    }
-    installed = package_versions(_PACKAGES)
-    return values | {f"version_{package}": number for package, number in installed.items()}
 
 
 def main(args: list[str] | None = None) -> None:

@@ -7,22 +7,20 @@ A worker that dies takes one pair with it, not the run.
 from __future__ import annotations
 
 import os
-import pickle
 import shutil
 import tempfile
 import time
-from collections import OrderedDict, deque
+from collections import deque
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from nss_ros.config import RegistrationConfig
-from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
-from nss_ros.registration.method import Method, load_method
-from nss_ros.registration.pair import register_pair
-from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair
+from nss_ros.registration.feature_store import FeatureStore, store_fragment
+from nss_ros.registration.method import load_method
+from nss_ros.registration.relative_transform import RelativeTransform, worker_died
 from nss_ros.worker_process import stop_now, worker_pool
 
 _PREFIX = "nss_registration_"
@@ -59,11 +57,7 @@ class RegistrationPool:
 
     def add_fragment(self, fragment: Fragment) -> None:
         """Take a fragment in, voxelised, and have its features computed."""
-        points = voxelize(fragment.points, self._config.voxel_size)
-        _save(
-            self._directory / f"{fragment.id}.fragment",
-            Fragment(fragment.id, points, fragment.gravity_aligned),
-        )
+        store_fragment(self._directory, fragment, self._config.voxel_size)
         self._waiting.append(_Task(fragment.id))
 
     def submit(self, pair: FragmentPair) -> None:
@@ -145,87 +139,25 @@ class RegistrationPool:
             if task.attempts < _MOST_ATTEMPTS or len(tasks) > 1:
                 self._waiting.appendleft(task)
             elif task.pair is not None:
-                message = "The worker process that registered this pair died twice."
-                answers.append(failed(task.pair, self._config.method, Reason.WORKER_DIED, message))
+                answers.append(worker_died(task.pair, self._config.method))
         return answers
 
 
-class _FeatureCache:
-    """Features by fragment: in memory up to a limit, else on disk, else computed."""
-
-    def __init__(self, method: Method, directory: Path, limit: int) -> None:
-        self._method = method
-        self._directory = directory
-        self._limit = limit
-        self._size = 0
-        self._entries: OrderedDict[FragmentId, tuple[Any, int]] = OrderedDict()
-
-    def get(self, id_: FragmentId) -> Any:
-        if id_ in self._entries:
-            self._entries.move_to_end(id_)
-            return self._entries[id_][0]
-        path = self._directory / f"{id_}.features"
-        if path.exists():
-            data = path.read_bytes()
-            features = pickle.loads(data)
-            size = len(data)
-        else:
-            fragment = pickle.loads((self._directory / f"{id_}.fragment").read_bytes())
-            features = self._method.prepare(fragment)
-            size = _save(path, features)
-        self._entries[id_] = (features, size)
-        self._size += size
-        while self._size > self._limit and len(self._entries) > 2:
-            self._size -= self._entries.popitem(last=False)[1][1]
-        return features
-
-
-@dataclass(slots=True)
-class _Worker:
-    config: RegistrationConfig
-    method: Method
-    cache: _FeatureCache
-
-
-_worker: _Worker
+_config: RegistrationConfig
+_store: FeatureStore
 
 
 def _start_worker(config: RegistrationConfig, directory: Path, memory_limit: int) -> None:
-    global _worker  # noqa: PLW0603 - a pool's workers have no other place for their state
-    method = load_method(config)
-    _worker = _Worker(config, method, _FeatureCache(method, directory, memory_limit << 20))
+    global _config, _store  # noqa: PLW0603 - a pool's workers have no other place for their state
+    _config = config
+    _store = FeatureStore(load_method(config), directory, directory, memory_limit << 20)
 
 
 def _run(fragment: FragmentId, pair: FragmentPair | None) -> RelativeTransform | None:
     if pair is not None:
-        return _register(pair)
-    _prepare(fragment)
+        return _store.register(pair, _config)
+    _store.prepare(fragment)
     return None
-
-
-def _prepare(id_: FragmentId) -> None:
-    try:
-        _worker.cache.get(id_)
-    except Exception:
-        return  # the pair that needs it reports the error
-
-
-def _register(pair: FragmentPair) -> RelativeTransform:
-    try:
-        source, target = _worker.cache.get(pair.source), _worker.cache.get(pair.target)
-    except Exception as error:
-        message = f"Features could not be computed: {error}"
-        return failed(pair, _worker.config.method, Reason.METHOD_ERROR, message)
-    return register_pair(_worker.method, source, target, pair, _worker.config)
-
-
-def _save(path: Path, value: Any) -> int:
-    """Pickle to a file that appears whole, so that workers may race; the size in bytes."""
-    data = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
-    temporary = path.with_suffix(f".{os.getpid()}")
-    temporary.write_bytes(data)
-    temporary.replace(path)
-    return len(data)
 
 
 def _sweep() -> None:

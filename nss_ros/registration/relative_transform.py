@@ -75,3 +75,9 @@ class RelativeTransform:
 def failed(pair: FragmentPair, method: str, reason: Reason, message: str) -> RelativeTransform:
     """A failure to register a pair."""
     return RelativeTransform(pair, method, reason=reason, message=message)
+
+
+def worker_died(pair: FragmentPair, method: str) -> RelativeTransform:
+    """A failure of a pair that killed its process twice."""
+    message = "The worker process that registered this pair died twice."
+    return failed(pair, method, Reason.WORKER_DIED, message)

@@ -1,0 +1,1 @@
+"""Methods over a whole dataset, without a ROS graph: pairs, maps and the logs that are scored."""

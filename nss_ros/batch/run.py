@@ -1,0 +1,366 @@
+"""A benchmark: methods over the pairs and splits of a dataset, then maps, then logs.
+
+A benchmark that was killed goes on where it was: pairs that have an answer in the journal, and
+logs that are there, are not made again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nss_ros.bag_reader import bag_digest
+from nss_ros.batch.folder import ResultsFolder
+from nss_ros.batch.journal import Entry, Journal
+from nss_ros.batch.mapping import AreaTask, area_map, joined_maps
+from nss_ros.batch.plan import BatchSplit, PairChoice, Plan, fragments_of, planned
+from nss_ros.batch.registering import Report, Workforce, register_missing
+from nss_ros.batch.run_log import write_log
+from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
+from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
+from nss_ros.dataset.bag_export import dataset_metadata, export_fragments, ground_truth_graph
+from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME, DatasetFolder
+from nss_ros.dataset.pairs import PairTable
+from nss_ros.errors import InputError
+from nss_ros.multiway.pose_graph import PoseGraph
+from nss_ros.multiway.synchronizer import find_synchronizer
+from nss_ros.parallel import run
+from nss_ros.registration.method import find_method, load_method
+from nss_ros.versions import run_versions
+
+_PAIRWISE = "pairwise"
+_INDIFFERENT = ("start_time", "platform")
+"""Versions that a benchmark may go on with when they differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What is run.
+
+    Attributes:
+        methods: of registration, by registered name.
+        splits: whose test pairs are registered.
+        synchronizers: multi-way methods, by registered name; none: pairs only.
+        pairs: the selected pairs, or all that overlap.
+        training: what the methods were trained on, for the tables; empty: not told.
+    """
+
+    methods: Sequence[str]
+    splits: Sequence[BatchSplit]
+    synchronizers: Sequence[str]
+    pairs: PairChoice = PairChoice.SELECTED
+    training: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Seconds of a method.
+
+    Attributes:
+        method: registered name.
+        fragments: whose features were timed.
+        prepare: mean seconds of a fragment's features; NaN of none.
+        pairs: answered.
+        failed: of these, pairs without a transform.
+        register: mean seconds of a pair, features not included.
+        median: median seconds of a pair.
+    """
+
+    method: str
+    fragments: int
+    prepare: float
+    pairs: int
+    failed: int
+    register: float
+    median: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunLog:
+    """A log that was written.
+
+    Attributes:
+        path: its folder.
+        split: whose pairs.
+        method: of registration.
+        synchronizer: multi-way method; empty: none.
+    """
+
+    path: Path
+    split: str
+    method: str
+    synchronizer: str
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """What a benchmark gave.
+
+    Attributes:
+        logs: by split, method and synchronizer, in the order that was asked for.
+        timings: one per method.
+        problems: one sentence for each map that could not be made; its log is missing.
+    """
+
+    logs: tuple[RunLog, ...]
+    timings: tuple[Timing, ...]
+    problems: tuple[str, ...]
+
+
+def run_benchmark(
+    dataset: DatasetFolder,
+    output: Path,
+    choice: Choice,
+    config: NssConfig,
+    force: Workforce,
+    report: Report = lambda *_: None,
+) -> BatchResult:
+    """Run methods over a dataset, or finish what a killed run began.
+
+    Args:
+        dataset: with pairs.
+        output: folder of the results.
+        choice: what is run.
+        config: settings of registration and multi-way methods, least overlap.
+        force: who computes.
+        report: called with a name for people, how many are done, and how many there are.
+
+    Raises:
+        InputError: the dataset, the splits or the folder do not fit.
+        MethodError: a method is not installed, or lacks something.
+        FormatError: a file cannot be read or written.
+    """
+    registrations = {name: _registration(config, name) for name in dict.fromkeys(choice.methods)}
+    for registration in registrations.values():
+        load_method(registration)  # refuses before anything is done
+    for name in choice.synchronizers:
+        find_synchronizer(name).load()
+    plan = planned(dataset, choice.splits, choice.pairs, config.dataset.pairs.min_overlap)
+    folder = ResultsFolder(output)
+    settings = _settings(dataset, choice, config)
+    with folder.opened(settings, run_versions()) as versions, Journal(folder.journal) as journal:
+        for name, registration in registrations.items():
+            register_missing(
+                dataset,
+                plan.pairs(),
+                registration,
+                journal,
+                folder.work,
+                force,
+                _of_method(report, name),
+            )
+        writer = _Writer(dataset, folder, plan, choice, config, journal, versions)
+        result = writer.write(force, report)
+        folder.finish()
+    return result
+
+
+def _of_method(report: Report, method: str) -> Report:
+    return lambda what, done, total: report(f"{what} {method}", done, total)
+
+
+@dataclass(frozen=True, slots=True)
+class _Writer:
+    """Makes maps and logs of what the journal holds."""
+
+    dataset: DatasetFolder
+    folder: ResultsFolder
+    plan: Plan
+    choice: Choice
+    config: NssConfig
+    journal: Journal
+    versions: dict[str, str]
+
+    def write(self, force: Workforce, report: Report) -> BatchResult:
+        """Write the logs that are missing."""
+        logs = self._logs()
+        missing = [log for log in logs if not log.path.exists()]
+        problems = []
+        if missing:
+            common = self._metadata()
+            maps = self._maps(missing, force)
+            report("logs", len(logs) - len(missing), len(logs))
+            for number, (log, map_) in enumerate(zip(missing, maps, strict=True), start=1):
+                if isinstance(map_, str):
+                    problems.append(
+                        f"The synchronizer '{log.synchronizer}' made no map of the split "
+                        f"{log.split} with {log.method}: {map_}"
+                    )
+                    continue
+                self._write_log(log, map_, common)
+                report("logs", len(logs) - len(missing) + number, len(logs))
+        written = tuple(log for log in logs if log.path.exists())
+        methods = dict.fromkeys(self.choice.methods)
+        return BatchResult(written, tuple(map(self._timing, methods)), tuple(problems))
+
+    def _logs(self) -> list[RunLog]:
+        return [
+            RunLog(self.folder.logs / _file_name(split, method, name), split, method, name)
+            for split in self.plan.splits
+            for method in dict.fromkeys(self.choice.methods)
+            for name in dict.fromkeys(self.choice.synchronizers or ("",))
+        ]
+
+    def _maps(self, logs: Sequence[RunLog], force: Workforce) -> list[PoseGraph | str | None]:
+        """The map of each log; a sentence where it could not be made, None without."""
+        tasks = {log: self._tasks(log) for log in logs if log.synchronizer}
+        # On this machine: an area takes seconds, and its answers would have to travel.
+        made = run(area_map, (task for each in tasks.values() for task in each), force.workers)
+        maps: list[PoseGraph | str | None] = []
+        for log in logs:
+            parts = [next(made) for _ in tasks.get(log, ())]
+            graphs = [part for part in parts if isinstance(part, PoseGraph)]
+            reasons = [part for part in parts if isinstance(part, str)]
+            maps.append(reasons[0] if reasons else joined_maps(graphs) if graphs else None)
+        return maps
+
+    def _tasks(self, log: RunLog) -> list[AreaTask]:
+        table = self.plan.splits[BatchSplit(log.split)]
+        answers = self.journal.of(log.method)
+        config = _multiway(self.config, log.synchronizer)
+        level = self.dataset.manifest.gravity_aligned
+        return [
+            AreaTask(
+                config,
+                tuple(fragments_of(part)),
+                tuple(answers[pair].result for pair in part.pairs),
+                level,
+            )
+            for part in _by_area(table).values()
+        ]
+
+    def _write_log(self, log: RunLog, map_: PoseGraph | None, common: dict[str, str]) -> None:
+        table = self.plan.splits[BatchSplit(log.split)]
+        answers = self.journal.of(log.method)
+        truth = [
+            _only_of(ground_truth_graph(self.dataset, area, part), part)
+            for area, part in _by_area(table).items()
+        ]
+        chosen = {
+            "registration": {"method": log.method},
+            "pose_graph": {"synchronizer": log.synchronizer or self.config.pose_graph.synchronizer},
+        }
+        config = self.config.model_copy(
+            update={
+                name: getattr(self.config, name).model_copy(update=values)
+                for name, values in chosen.items()
+            }
+        )
+        own = {
+            SPLIT_KEY: log.split,
+            TRAINING_KEY: self.choice.training,
+            "benchmark.pairs": self.choice.pairs.value,
+            "benchmark.method": log.method,
+            "benchmark.synchronizer": log.synchronizer,
+            "benchmark.seed": str(self.config.registration.seed),
+            "config": config.model_dump_json(),
+        }
+        timing = self._timing(log.method)
+        own |= {
+            "benchmark.prepare_seconds": repr(timing.prepare),
+            "benchmark.register_seconds": repr(timing.register),
+        }
+        entries: list[Entry] = [answers[pair] for pair in table.pairs]
+        metadata = {name: value for name, value in own.items() if value}
+        write_log(log.path, truth, entries, map_, common | metadata)
+
+    def _metadata(self) -> dict[str, str]:
+        """What all logs tell: of the dataset, of the code, and where the point clouds are."""
+        bag = self.folder.fragments
+        if not bag.exists():
+            begun = self.folder.work / bag.name
+            begun.parent.mkdir(parents=True, exist_ok=True)
+            shutil.rmtree(begun, ignore_errors=True)
+            export_fragments(begun, self.dataset)
+            begun.rename(bag)
+        return {
+            **dataset_metadata(self.dataset),
+            **self.versions,
+            "bag_0": f"../../{bag.name}",
+            "bag_0_sha256": bag_digest(bag),
+        }
+
+    def _timing(self, method: str) -> Timing:
+        wanted = self.plan.pairs()
+        results = [self.journal.of(method)[pair].result for pair in wanted]
+        prepare = list(self.journal.prepare_seconds.get(method, {}).values())
+        seconds = [result.compute_time for result in results]
+        return Timing(
+            method,
+            len(prepare),
+            float(np.mean(prepare)) if prepare else float("nan"),
+            len(results),
+            sum(not result.ok for result in results),
+            float(np.mean(seconds)),
+            float(np.median(seconds)),
+        )
+
+
+def _file_name(split: str, method: str, synchronizer: str) -> str:
+    return "-".join((split, method, synchronizer or _PAIRWISE)).replace("/", "_")
+
+
+def _by_area(table: PairTable) -> dict[str, PairTable]:
+    areas = np.array([id_.area for id_ in table.source], dtype=object)
+    return {area: table.take(areas == area) for area in dict.fromkeys(areas.tolist())}
+
+
+def _only_of(graph: PoseGraph, pairs: PairTable) -> PoseGraph:
+    """A graph without the fragments that are in none of the pairs."""
+    wanted = set(fragments_of(pairs))
+    nodes = tuple(node for node in graph.nodes if node.id in wanted)
+    return PoseGraph(nodes, graph.edges, graph.name)
+
+
+def _registration(config: NssConfig, method: str) -> RegistrationConfig:
+    values = config.registration.model_dump(include=set(RegistrationConfig.model_fields))
+    return RegistrationConfig.model_validate(values | {"method": method})
+
+
+def _multiway(config: NssConfig, synchronizer: str) -> MultiwayConfig:
+    values = config.pose_graph.model_dump(include=set(MultiwayConfig.model_fields))
+    return MultiwayConfig.model_validate(values | {"synchronizer": synchronizer})
+
+
+def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict[str, Any]:
+    """All that results depend on; which methods, splits and synchronizers may grow."""
+    registration = _registration(config, "").model_dump(mode="json")
+    multiway = _multiway(config, "").model_dump(mode="json")
+    del registration["method"], multiway["synchronizer"]
+    plugins = [find_method(name) for name in choice.methods]
+    plugins += [find_synchronizer(name) for name in choice.synchronizers]
+    return {
+        "dataset": _fingerprint(dataset),
+        "pairs": choice.pairs.value,
+        "min_overlap": config.dataset.pairs.min_overlap,
+        "training": choice.training,
+        "registration": registration,
+        "pose_graph": multiway,
+        "versions": {k: v for k, v in run_versions().items() if k not in _INDIFFERENT},
+        "plugins": {each.name: _origin(each) for each in plugins},
+    }
+
+
+def _origin(plugin: EntryPoint) -> str:
+    package = f" of {plugin.dist.name} {plugin.dist.version}" if plugin.dist else ""
+    return f"{plugin.value}{package}"
+
+
+def _fingerprint(dataset: DatasetFolder) -> dict[str, str]:
+    names = (PAIRS_NAME, POSES_NAME)
+    files = {name: _digest(dataset.path / name) for name in names}
+    return files | {"seed": str(dataset.manifest.seed)}
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise InputError(f"Cannot read {path}: {error.strerror}.") from error

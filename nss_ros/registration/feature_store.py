@@ -1,0 +1,111 @@
+"""Features of fragments, in memory up to a limit, else on disk: computed once for all processes.
+
+The folder is shared by the processes that register pairs. It holds fragments and what methods
+made of them, and no ground truth.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections import OrderedDict
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from nss_ros.config import RegistrationConfig
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
+from nss_ros.registration.method import Method
+from nss_ros.registration.pair import register_pair
+from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
+
+
+def fragment_file(folder: Path, fragment: FragmentId) -> Path:
+    """Where a folder keeps a voxelised fragment."""
+    return folder / f"{fragment}.fragment"
+
+
+def feature_file(folder: Path, fragment: FragmentId) -> Path:
+    """Where a folder keeps the features of a fragment."""
+    return folder / f"{fragment}.features"
+
+
+def store_fragment(folder: Path, fragment: Fragment, voxel_size: float) -> None:
+    """Voxelise a fragment into a folder; `voxel_size` in metres."""
+    points = voxelize(fragment.points, voxel_size)
+    _save(
+        fragment_file(folder, fragment.id), Fragment(fragment.id, points, fragment.gravity_aligned)
+    )
+
+
+class FeatureStore:
+    """Features by fragment, for one process: from memory, from disk, or computed.
+
+    Args:
+        method: the registration method.
+        fragments: folder that `store_fragment` filled.
+        features: folder of this method's features; may be the same.
+        limit: bytes kept in memory; the features used last stay.
+    """
+
+    def __init__(self, method: Method, fragments: Path, features: Path, limit: int) -> None:
+        self.method = method
+        self._fragments, self._features = fragments, features
+        self._limit = limit
+        self._size = 0
+        self._entries: OrderedDict[FragmentId, tuple[Any, int]] = OrderedDict()
+
+    def get(self, id_: FragmentId) -> Any:
+        """The features of a fragment.
+
+        Raises:
+            OSError: the fragment was never stored, or the folder cannot be written.
+            Exception: whatever the method raises.
+        """
+        if id_ in self._entries:
+            self._entries.move_to_end(id_)
+            return self._entries[id_][0]
+        path = feature_file(self._features, id_)
+        if path.exists():
+            data = path.read_bytes()
+            features = pickle.loads(data)
+            size = len(data)
+        else:
+            fragment = pickle.loads(fragment_file(self._fragments, id_).read_bytes())
+            features = self.method.prepare(fragment)
+            size = _save(path, features)
+        self._entries[id_] = (features, size)
+        self._size += size
+        while self._size > self._limit and len(self._entries) > 2:
+            self._size -= self._entries.popitem(last=False)[1][1]
+        return features
+
+    def prepare(self, id_: FragmentId) -> float:
+        """Have a fragment's features computed; seconds, NaN if that failed.
+
+        A pair that needs them tries again, and reports the error.
+        """
+        begin = perf_counter()
+        try:
+            self.get(id_)
+        except Exception:
+            return float("nan")
+        return perf_counter() - begin
+
+    def register(self, pair: FragmentPair, config: RegistrationConfig) -> RelativeTransform:
+        """The answer to a pair; never raises."""
+        try:
+            source, target = self.get(pair.source), self.get(pair.target)
+        except Exception as error:
+            message = f"Features could not be computed: {error}"
+            return failed(pair, config.method, Reason.METHOD_ERROR, message)
+        return register_pair(self.method, source, target, pair, config)
+
+
+def _save(path: Path, value: Any) -> int:
+    """Pickle to a file that appears whole, so that workers may race; the size in bytes."""
+    data = pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
+    temporary = path.with_suffix(f".{os.getpid()}")
+    temporary.write_bytes(data)
+    temporary.replace(path)
+    return len(data)
