@@ -225,6 +225,15 @@ def test_the_chained_view_is_worse_where_answers_are(make_run):
     assert chained_view(replace(log, relative_transforms=answers), view) is None
 
 
+def test_the_section_passes_spots_but_never_misses_the_points(make_run):
+    (view,) = map_views(make_run())
+    y = [spot[1] for spot in view.spots.values()]
+    assert min(y) <= view.middle() <= max(y)
+    outside = {id_: spot + np.array((0, 100, 0)) for id_, spot in view.spots.items()}
+    points = np.concatenate(list(view.points.values()))
+    assert replace(view, spots=outside).middle() == pytest.approx(np.median(points[:, 1]), abs=0.2)
+
+
 def test_a_torn_map_is_shown_with_its_largest_part_in_place(make_run):
     log = make_run(noise=0.0)
     nodes = tuple(
