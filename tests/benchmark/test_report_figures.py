@@ -16,7 +16,6 @@ from nss_ros.benchmark.figures import (
     rmse_change,
     run_charts,
 )
-from nss_ros.benchmark.figures import timing as timing_chart
 from nss_ros.benchmark.map_figures import (
     before_after_figure,
     graph_chart,
@@ -28,6 +27,7 @@ from nss_ros.benchmark.map_figures import (
 from nss_ros.benchmark.map_view import chained_view, map_view, map_views, thinned
 from nss_ros.benchmark.run import measured_run
 from nss_ros.benchmark.run_timing import RunTiming
+from nss_ros.benchmark.timing_chart import timing_chart
 from nss_ros.dataset.figures import STAGE_COLOURS
 from nss_ros.fragment import voxelize
 from nss_ros.geometry import exponential, from_yaw
