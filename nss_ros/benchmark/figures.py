@@ -11,7 +11,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from nss_ros.benchmark.chart import (
-    MAX_POINTS,
     Axis,
     Chart,
     Mark,
@@ -24,8 +23,8 @@ from nss_ros.benchmark.evaluation import Booleans, Evaluation
 from nss_ros.benchmark.headline import KINDS
 from nss_ros.benchmark.metrics import MAX_RRE, MAX_RTE, MAX_RTE_CHALLENGE, Floats
 from nss_ros.benchmark.run import Run
-from nss_ros.benchmark.run_timing import RunTiming
 from nss_ros.benchmark.score import BIN_WIDTH, BinScore, LogScore
+from nss_ros.benchmark.timing_chart import timing_chart
 from nss_ros.dataset.figures import STAGE_COLOURS
 
 COLOURS = {"all": "#333333", "same_stage": "#0072B2", "different_stage": "#D55E00"}
@@ -33,7 +32,6 @@ COLOURS = {"all": "#333333", "same_stage": "#0072B2", "different_stage": "#D55E0
 NAMES = {"all": "all", "same_stage": "same stage", "different_stage": "different stages"}
 
 _RECALL = Axis("recall (%)", 0.0, 104.0)
-_THROUGHPUT_WINDOWS = 40
 
 
 def run_charts(run: Run) -> dict[str, Chart]:
@@ -48,7 +46,7 @@ def run_charts(run: Run) -> dict[str, Chart]:
             "precision_recall": precision_recall(run.score),
             "reliability": reliability(run.score),
         }
-    charts["timing"] = timing(run.timing)
+    charts["timing"] = timing_chart(run.timing)
     return {name: chart for name, chart in charts.items() if chart is not None}
 
 
@@ -333,86 +331,6 @@ def rmse_by_graph_size(scores: Sequence[LogScore]) -> Chart | None:
         "Global RMSE against the size of the graph",
         (panel,),
         "One point per graph; over the points of placed fragments.",
-    )
-
-
-def timing(times: RunTiming) -> Chart | None:
-    """Throughput and latency over the time of the run; None without answers."""
-    if not len(times.answers):
-        return None
-    end = float(max(times.answers[-1], *times.requests[-1:], *times.fragments[-1:]))
-    clock = Axis("time (s)", 0.0, end * 1.02 or 1.0)
-    flow = [
-        _count("fragments received", times.fragments, "#009E73"),
-        _count("pairs asked for", times.requests, "#999999"),
-        _count("pairs answered", times.answers, "#0072B2"),
-    ]
-    edges = np.linspace(0, end or 1.0, _THROUGHPUT_WINDOWS + 1)
-    rate = np.asarray(np.histogram(times.answers, edges)[0] / np.diff(edges), dtype=np.float64)
-    middle = np.asarray((edges[1:] + edges[:-1]) / 2, dtype=np.float64)
-    chosen = spread(len(times.answers), MAX_POINTS)
-    known = chosen[np.isfinite(times.latency[chosen])]
-    waits = (
-        Series(
-            "request to answer",
-            times.answers[known],
-            times.latency[known],
-            "#E69F00",
-            Mark.POINTS,
-            _waits(times, known),
-            size=4,
-            alpha=0.8,
-        ),
-        Series(
-            "of this, computing",
-            times.answers[chosen],
-            times.compute_time[chosen],
-            "#CC79A7",
-            Mark.POINTS,
-            _waits(times, chosen),
-            size=4,
-            alpha=0.8,
-        ),
-    )
-    speed = Series(
-        "",
-        middle,
-        rate,
-        "#0072B2",
-        Mark.BARS,
-        tuple(f"{t:.1f} s<br>{r:.2f} pairs a second" for t, r in zip(middle, rate, strict=True)),
-        width=float(edges[1]) * 0.92,
-        alpha=0.75,
-    )
-    late = int((~np.isfinite(times.latency)).sum())
-    unheard = f" Of {late:,} answers the recorder did not hear the request in time." if late else ""
-    return Chart(
-        "Throughput and latency",
-        (
-            Panel(clock, Axis("count", 0.0), tuple(s for s in flow if len(s.x)), "Received"),
-            Panel(clock, Axis("pairs per second", 0.0), (speed,), "Throughput"),
-            Panel(
-                clock,
-                Axis("seconds", log=True),
-                tuple(s for s in waits if len(s.x)),
-                "Latency of each answer",
-            ),
-        ),
-        "By the recorder's clock, from the first message of the log." + unheard,
-        columns=3,
-    )
-
-
-def _count(name: str, times: Floats, colour: str) -> Series:
-    chosen = spread(len(times)) if len(times) else np.zeros(0, dtype=np.intp)
-    return Series(name, times[chosen], (chosen + 1).astype(np.float64), colour)
-
-
-def _waits(times: RunTiming, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]) -> tuple[str, ...]:
-    return tuple(
-        f"{times.pairs[i].source}<br>→ {times.pairs[i].target}<br>waited "
-        f"{times.latency[i]:.2f} s, computed {times.compute_time[i]:.2f} s"
-        for i in chosen
     )
 
 

@@ -26,12 +26,13 @@ ACCEPTED, REJECTED = "#4d4d4d", "#C44E9B"
 """Colours of edges."""
 
 _DPI = 120  # of pictures
-_SPOT = 0.05  # metres: a point covers what lies so near
+_SPOT = 0.07  # metres: a point covers what lies so near
 SECTION_DEPTH = 0.6
 """What lies so near to the plane of a section is in it, metres."""
+_MOST_PIXELS = 3  # that a point is wide
 _MARGIN = 0.4  # metres
 _FAINT, _FULL = 0.22, 0.88  # opacity of the palest and of the darkest ink
-_DARKEST = 80  # percentile of points per occupied pixel that is drawn darkest
+_DARKEST = 88  # percentile of points per occupied pixel that is drawn darkest
 _WIDTH = 9.2  # inches
 _MOST_COLUMNS = 3
 
@@ -161,7 +162,7 @@ def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, st
         links: an id in the report of each pair, to which its edge leads.
     """
     series = []
-    for status, name, colour, width, alpha in (
+    for status, name, colour, width, opacity in (
         (EdgeStatus.REJECTED, "edge rejected", REJECTED, 1.0, 0.45),
         (EdgeStatus.ACCEPTED, "edge accepted", ACCEPTED, 1.1, 0.75),
     ):
@@ -176,6 +177,8 @@ def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, st
         if len(edges) > MAX_POINTS:
             label = f"{name} ({MAX_POINTS:,} of {len(edges):,})"
             edges = [edges[i] for i in spread(len(edges), MAX_POINTS)]
+        # Many lines lie over each other.
+        alpha = opacity * float(np.clip(400 / len(edges), 0.25, 1))
         ends = np.array([[view.spots[e.pair.source], view.spots[e.pair.target]] for e in edges])
         gaps = np.full((len(edges), 1), np.nan)
         x, y = (np.hstack((ends[:, :, axis], gaps)).ravel() for axis in (0, 1))
@@ -303,7 +306,7 @@ def ink_picture(
     left, right, bottom, top = extent
     shape = (max(1, round(pixels * (top - bottom) / (right - left))), pixels)
     image = np.ones((*shape, 3))
-    spread = max(1, round(_SPOT * pixels / (right - left)))
+    size = int(np.clip(round(_SPOT * pixels / (right - left)), 1, _MOST_PIXELS))
     for colour, points in inks.items():
         counts, _, _ = np.histogram2d(
             points[:, 1], points[:, 0], shape, ((bottom, top), (left, right))
@@ -312,7 +315,7 @@ def ink_picture(
         if not len(occupied):
             continue
         dark = max(1.0, float(np.percentile(occupied, _DARKEST)))
-        covered = maximum_filter(counts, spread)
+        covered = maximum_filter(counts, size)
         strength = _FAINT + (_FULL - _FAINT) * np.sqrt(np.clip(covered / dark, 0, 1))
         strength[covered == 0] = 0
         image *= 1 - strength[..., None] * (1 - np.array(to_rgb(colour)))

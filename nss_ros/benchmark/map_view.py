@@ -66,11 +66,18 @@ class MapView:
         return floor + _ABOVE_FLOOR[0], floor + _ABOVE_FLOOR[1]
 
     def middle(self) -> float:
-        """The y of the section that passes most spots nearby, metres."""
+        """The y of the section that passes most spots nearby, metres.
+
+        Spots may lie outside of what they saw; if all do, the section is in the middle of that.
+        """
+        points = np.concatenate([points[::7, 1] for points in self.points.values()])
+        low, median, high = np.percentile(points, (5, 50, 95))
         y = np.array([spot[1] for spot in self.spots.values()])
+        y = y[(y > low) & (y < high)]
+        if not len(y):
+            return float(median)
         near = np.abs(y[:, None] - y) < _NEAR
-        best = int(near.sum(axis=1).argmax())
-        return float(y[near[best]].mean())
+        return float(y[near[int(near.sum(axis=1).argmax())]].mean())
 
 
 def map_views(log: Log) -> list[MapView]:

@@ -226,16 +226,17 @@ def _add_maps(
         name = f"{page.key}-map{number}"
         data["maps"][name] = map_model(view, most_points // len(shown))
         page.models.append(name)
-        how = "" if view.level else (
-            " The fragments are not levelled: up is taken to be where the map is thinnest."
-        )  # fmt: skip
+        how = ""
+        if len(view.points) > 1:
+            how = " Stages are printed over each other: dark is what several saw."
+        if not view.level:
+            how += " The fragments are not levelled: up is taken to be where the map is thinnest."
         page.map_pictures.append(
             Picture(
-                f"Area {view.area}: all stages",
+                f"Area {view.area}: all stages" if len(view.points) > 1 else f"Area {view.area}",
                 photograph(map_figure(view)),
                 "Plan: what stands 0.25 to 2.1 m above the floor. Section: what lies within "
-                f"{SECTION_DEPTH:g} m of the dotted line. Stages are printed over each other: "
-                f"dark is what several saw.{how}",
+                f"{SECTION_DEPTH:g} m of the dotted line.{how}",
             )
         )
         if len(view.points) > 1:

@@ -40,9 +40,9 @@ def report(
 ) -> None:
     """Write a report of logs: one HTML file that needs no network and no other file.
 
-    It has the headline figures with bootstrap intervals, all tables and figures of 'nss score',
-    the map in 3-D by stage, the worst pairs as pictures, and every pair by its ids. What a log
-    lacks (ground truth, point clouds, a map) is left out, and said.
+    It has the headline figures with bootstrap intervals, all tables of 'nss score', figures of
+    accuracy, graph and timing, the map in 3-D by stage, the worst pairs as pictures, and pairs by
+    their ids. What a log lacks (ground truth, point clouds, a map) is left out, and said.
     """
     if ending not in _ENDINGS:
         raise InputError(f"A figure cannot be '{ending}': choose one of {', '.join(_ENDINGS)}.")

@@ -25,6 +25,12 @@ ARGUMENTS = [
     "--disable-component-update",
     "--disable-sync",
 ]
+NO_WEBGL = """
+const context = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  return kind.includes("webgl") ? null : context.call(this, kind, ...rest);
+};
+"""
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 740}
 
 
@@ -54,9 +60,10 @@ def page_file(make_run, tmp_path_factory):
     return path
 
 
-def opened(browser, path, **options):
+def opened(browser, path, init="", **options):
     """A page, what it complains of, and what it asks the network for."""
     page = browser.new_context(**options).new_page()
+    page.add_init_script(init)
     complaints, requests = [], []
     page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
     page.on("pageerror", lambda error: complaints.append(str(error)))
@@ -153,13 +160,23 @@ def test_the_report_on_a_phone(browser, page_file, tmp_path):
     page.context.close()
 
 
-def test_the_report_on_paper_and_without_scripts(browser, page_file, tmp_path):
+def test_the_report_on_paper(browser, page_file, tmp_path):
     page, complaints, _ = opened(browser, page_file, viewport=DESKTOP)
     page.emulate_media(media="print")
     assert page.locator(".panels:visible, .model:visible, nav:visible").count() == 0
     assert page.locator("img.still:visible").count() == page.locator("img.still").count() > 5
     page.pdf(path=tmp_path / "report.pdf")
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert complaints == []
+    page.context.close()
+
+
+def test_the_report_where_little_works(browser, page_file):
+    page, complaints, _ = opened(browser, page_file, viewport=DESKTOP, init=NO_WEBGL)
+    page.locator(".model .view").scroll_into_view_if_needed()
+    page.wait_for_selector(".view.missing")
+    assert "the pictures below show the map" in page.locator(".view").text_content()
+    page.locator(".model input[type=range]").fill("0")
     assert complaints == []
     page.context.close()
 

@@ -16,7 +16,6 @@ from nss_ros.benchmark.figures import (
     rmse_change,
     run_charts,
 )
-from nss_ros.benchmark.figures import timing as timing_chart
 from nss_ros.benchmark.map_figures import (
     before_after_figure,
     graph_chart,
@@ -28,6 +27,7 @@ from nss_ros.benchmark.map_figures import (
 from nss_ros.benchmark.map_view import chained_view, map_view, map_views, thinned
 from nss_ros.benchmark.run import measured_run
 from nss_ros.benchmark.run_timing import RunTiming
+from nss_ros.benchmark.timing_chart import timing_chart
 from nss_ros.dataset.figures import STAGE_COLOURS
 from nss_ros.fragment import voxelize
 from nss_ros.geometry import exponential, from_yaw
@@ -223,6 +223,15 @@ def test_the_chained_view_is_worse_where_answers_are(make_run):
         if log.pairs[0].target not in (pair.source, pair.target)
     }
     assert chained_view(replace(log, relative_transforms=answers), view) is None
+
+
+def test_the_section_passes_spots_but_never_misses_the_points(make_run):
+    (view,) = map_views(make_run())
+    y = [spot[1] for spot in view.spots.values()]
+    assert min(y) <= view.middle() <= max(y)
+    outside = {id_: spot + np.array((0, 100, 0)) for id_, spot in view.spots.items()}
+    points = np.concatenate(list(view.points.values()))
+    assert replace(view, spots=outside).middle() == pytest.approx(np.median(points[:, 1]), abs=0.2)
 
 
 def test_a_torn_map_is_shown_with_its_largest_part_in_place(make_run):

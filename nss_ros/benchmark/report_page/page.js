@@ -137,7 +137,7 @@
           aspectmode: "data", dragmode: "turntable",
           xaxis: {...axis("x (m)"), range: range3d(0)}, yaxis: {...axis("y (m)"), range: range3d(1)},
           zaxis: {...axis("z (m)"), range: range3d(2), nticks: h < 0.5 * Math.max(w, d) ? 4 : 8},
-          camera: {eye: {x: -0.85 * far, y: -1.5 * far, z: 1.35 * far}, center: {x: 0.02, y: -0.02, z: -0.3}},
+          camera: {eye: {x: -0.85 * far, y: -1.5 * far, z: 1.35 * far}, center: {x: 0.02, y: -0.02, z: -0.36}},
         },
       }, {...config, scrollZoom: true});
       drawn = true;
