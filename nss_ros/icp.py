@@ -98,6 +98,7 @@ def refine(
     iterations: int,
     levels: tuple[float, ...] = _LEVELS,
     kernel: float | None = None,
+    damping: float = 0.0,
 ) -> Refined:
     """Refine a transform by point-to-plane ICP.
 
@@ -115,6 +116,8 @@ def refine(
         kernel: distance from the plane at which a correspondence counts a quarter (Geman and
             McClure 1987), metres, times the level; None: all count alike. With it, what changed
             between two stages does not pull.
+        damping: information added to every direction of an update, as a share of the
+            correspondences: where the surfaces can slide, noise does not carry the source away.
     """
     transform = T_target_source
     converged = False
@@ -122,7 +125,8 @@ def refine(
         for _ in range(iterations):
             scale = None if kernel is None else level * kernel
             system, _ = _linearize(source, target, transform, level * max_distance, scale)
-            update = np.linalg.lstsq(system.hessian, -system.gradient, rcond=1e-9)[0]
+            hessian = system.hessian + damping * system.count * np.eye(6)
+            update = np.linalg.lstsq(hessian, -system.gradient, rcond=1e-9)[0]
             transform = as_transform(exponential(update) @ transform)
             converged = bool(
                 np.linalg.norm(update[:3]) < _CONVERGED_TRANSLATION

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,9 @@ from nss_ros.registration.validation import Support, support
 # Point-to-plane distance at which a surface counts a quarter, metres: what changed must not pull.
 _KERNEL = 0.05
 _TRIAL_POINTS, _TRIAL_ITERATIONS, _TRIAL_LEVELS = 800, 6, (3.0,)
+_DAMPING = 0.005
+# An alignment that leaves the cell of the search was carried away.
+_MOST_TRANSLATION, _MOST_ROTATION = 0.5, np.radians(8)
 _LEVEL_NORMAL = 0.8
 _HEIGHT_POINTS = 400
 # Level surfaces are matched across, with heights counting less.
@@ -113,9 +116,17 @@ def tried(source: Shape, target: Shape, peak: Peak, config: RegistrationConfig) 
     start = from_yaw(peak.yaw, (peak.x, peak.y, 0.0))
     start[2, 3] = _height(source, target, start)
     distance = config.icp.max_distance
-    return refine(
-        source.thin, target.surface, start, distance, _TRIAL_ITERATIONS, _TRIAL_LEVELS, _KERNEL
+    found = refine(
+        source.thin,
+        target.surface,
+        start,
+        distance,
+        _TRIAL_ITERATIONS,
+        _TRIAL_LEVELS,
+        _KERNEL,
+        _DAMPING,
     ).T_target_source
+    return found if _is_near(found, start) else start
 
 
 def aligned(
@@ -134,7 +145,10 @@ def aligned(
         config.icp.max_distance,
         config.icp.iterations,
         kernel=_KERNEL,
+        damping=_DAMPING,
     )
+    if not _is_near(refined.T_target_source, start):
+        refined = replace(refined, T_target_source=start, converged=False)
     transform = refined.T_target_source
     forth = support(source.moderate, target.surface, transform, config)
     seen = agreement(source.view, target.view, transform)
@@ -160,6 +174,14 @@ def aligned(
         min(source.scan.floor.share, target.scan.floor.share),
     )
     return Candidate(refined, forth, np.array(signs))
+
+
+def _is_near(transform: Transform, start: Transform) -> bool:
+    difference = relative(transform, start)
+    return bool(
+        np.linalg.norm(difference[:3, 3]) < _MOST_TRANSLATION
+        and rotation_angle(difference) < _MOST_ROTATION
+    )
 
 
 def _inlier_share(source: Shape, target: Shape, transform: Transform, tau: float) -> float:
