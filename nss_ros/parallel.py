@@ -6,7 +6,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import socket
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -28,8 +30,10 @@ Result = TypeVar("Result")
 
 # With more threads than cores numpy is slower, and its sums depend on the number of threads.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-_IN_REACH = 4
-"""Calls that are handed out at a time, for each worker."""
+# Calls that are handed out at a time for each worker: one runs, one is in reach. With more than
+# fit joblib's queue, its thread stumbles over the rest when the caller is interrupted.
+_IN_REACH = 2
+_PATIENCE = 5.0  # seconds
 
 
 class Engine(StrEnum):
@@ -149,7 +153,7 @@ def _on_ray(
     call: Callable[[Item], Result], items: Iterable[Item], workers: int, in_order: bool
 ) -> Iterator[Result]:
     ray = _connected_ray()
-    remote = ray.remote(_called)
+    remote = ray.remote(max_retries=1)(_called)
     # All workers are busy if there are as many calls as workers; in order, some wait for others.
     most = workers or _IN_REACH * max(1, int(ray.cluster_resources().get("CPU", 1)))
     waiting: list[Any] = []
@@ -190,15 +194,28 @@ def _connected_ray() -> Any:
         address = os.environ.get("RAY_ADDRESS", "")
         try:
             if address:
-                ray.init(log_to_driver=False)
+                _knock(address)
+                ray.init(log_to_driver=False, logging_level=logging.ERROR)
             else:
-                ray.init(address="local", include_dashboard=False, log_to_driver=False)
-        except (ConnectionError, RuntimeError, ValueError) as error:
+                ray.init(
+                    address="local",
+                    include_dashboard=False,
+                    log_to_driver=False,
+                    logging_level=logging.ERROR,
+                )
+        except (OSError, RuntimeError, ValueError) as error:
             raise InputError(
                 f"No Ray cluster answers at RAY_ADDRESS={address}: start one with 'ray start', or "
                 "use the engine 'local'."
             ) from error
     return ray
+
+
+def _knock(address: str) -> None:
+    """Raise an OSError if nobody listens at an address: Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE).close()
 
 
 def _death() -> WorkerDiedError:

@@ -1,12 +1,13 @@
 import os
+import signal
 
 import numpy as np
 import pytest
 
 from nss_ros.config import PairConfig
 from nss_ros.dataset.pairs import measure_pairs
-from nss_ros.errors import InputError
-from nss_ros.parallel import Engine, run
+from nss_ros.errors import InputError, WorkerDiedError
+from nss_ros.parallel import Engine, run, stream
 
 
 def square(number):
@@ -15,6 +16,10 @@ def square(number):
 
 def process(_):
     return os.getpid()
+
+
+def die(_):
+    os.kill(os.getpid(), signal.SIGKILL)
 
 
 def fail(number):
@@ -74,3 +79,25 @@ def test_ray_gives_the_same_as_this_process(room, monkeypatch):
     assert tables[0].pairs == tables[1].pairs
     for name in ("overlap_ratio", "temporal_change", "source_complexity"):
         np.testing.assert_array_equal(getattr(tables[0], name), getattr(tables[1], name))
+
+
+def test_a_ray_cluster_that_is_not_there_is_named(monkeypatch):
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_ADDRESS", "127.0.0.1:1")
+    with pytest.raises(InputError, match=r"RAY_ADDRESS=127\.0\.0\.1:1"):
+        list(run(square, [1], engine=Engine.RAY))
+
+
+def test_streamed_results_come_as_they_are_there():
+    assert sorted(stream(square, range(7), workers=2)) == [n**2 for n in range(7)]
+    assert list(stream(square, [], workers=1)) == []
+    for workers in (1, 2):
+        assert os.getpid() not in stream(process, range(3), workers)
+        with pytest.raises(InputError, match="Item 3 is not usable"):
+            list(stream(fail, range(6), workers))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_worker_that_dies_is_an_error_of_its_own(workers):
+    with pytest.raises(WorkerDiedError, match="killed or crashed"):
+        list(stream(die, range(3), workers))

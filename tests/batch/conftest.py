@@ -21,6 +21,7 @@ _PACKAGE = '''
 import os, signal, time
 from dataclasses import replace
 import numpy as np
+from nss_ros.errors import InputError
 from nss_ros.fragment import FragmentPair
 from nss_ros.geometry import from_yaw, relative
 from nss_ros.multiway.choi import Choi
@@ -88,6 +89,15 @@ class Tree:
 
     def synchronize(self, fragments, measurements):
         return replace(self._choi.synchronize(fragments, measurements), synchronizer=self.name)
+
+def where(seconds):
+    """The node of a Ray cluster, after a while."""
+    import ray
+    time.sleep(seconds)
+    return seconds, ray.get_runtime_context().get_node_id()
+
+def fail(number):
+    raise InputError(f"Item {number} is not usable.")
 
 class Broken:
     """Makes no map."""
