@@ -17,9 +17,9 @@ from nss_ros.registration.gravity.refinement import SIGNS, Candidate
 from nss_ros.registration.gravity.verifier import Verifier
 
 _TRANSLATION, _ROTATION = 0.2, np.radians(10)
-_STEPS = 1500
+_STEPS = 150
 _LEARNING_RATE = 1e-2
-_WEIGHT_DECAY = 1e-2
+_WEIGHT_DECAY = 1.0
 
 
 @dataclass(frozen=True, slots=True)
