@@ -24,8 +24,10 @@ setup(
         "nss_ros": [
             "py.typed",
             "interfaces/*.msg",
+            "registration/gravity/*.safetensors",
             "simulation/sites/*.yaml",
             "benchmark/paper.yaml",
+            "benchmark/report_page/*",
         ]
     },
     data_files=[
@@ -36,6 +38,7 @@ setup(
     ],
     install_requires=[
         "setuptools",
+        "jinja2",
         "joblib",
         "matplotlib",
         "mcap",
@@ -72,6 +75,7 @@ setup(
         ],
         "nss_ros.registration_methods": [
             "fpfh_ransac = nss_ros.registration.fpfh:FpfhRansac",
+            "gravity = nss_ros.registration.gravity.method:Gravity",
             "fpfh_fgr = nss_ros.registration.fpfh:FpfhFgr",
         ],
         "nss_ros.synchronizers": [

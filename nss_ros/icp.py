@@ -26,6 +26,8 @@ _CORRELATION_LENGTH = 0.5
 # No estimate is taken to be better than the sensor's and the voxels' systematic errors.
 _LEAST_DEVIATION = 0.01
 _NORMAL_COSINE = 0.5
+# A direction along which the surfaces can slide is unknown by metres, not infinitely.
+_LEAST_INFORMATION = 1e-2
 
 Array = NDArray[np.float64]
 
@@ -74,6 +76,14 @@ class Refined:
     rmse: float
     converged: bool
 
+    @property
+    def covariance(self) -> Matrix:
+        """(6, 6), positive definite: unknown directions of the information are bounded."""
+        values, vectors = np.linalg.eigh(self.information)
+        known = np.maximum(values, _LEAST_INFORMATION)
+        covariance = np.einsum("ij,j,kj->ik", vectors, 1 / known, vectors)
+        return np.asarray((covariance + covariance.T) / 2)
+
 
 def moved_by(transform: Transform, points: Array) -> Array:
     """Points (n, 3) moved by a transform, rounded the same whatever BLAS library is installed."""
@@ -88,6 +98,7 @@ def refine(
     iterations: int,
     levels: tuple[float, ...] = _LEVELS,
     kernel: float | None = None,
+    damping: float = 0.0,
 ) -> Refined:
     """Refine a transform by point-to-plane ICP.
 
@@ -105,6 +116,8 @@ def refine(
         kernel: distance from the plane at which a correspondence counts a quarter (Geman and
             McClure 1987), metres, times the level; None: all count alike. With it, what changed
             between two stages does not pull.
+        damping: information added to every direction of an update, as a share of the
+            correspondences: where the surfaces can slide, noise does not carry the source away.
     """
     transform = T_target_source
     converged = False
@@ -112,7 +125,8 @@ def refine(
         for _ in range(iterations):
             scale = None if kernel is None else level * kernel
             system, _ = _linearize(source, target, transform, level * max_distance, scale)
-            update = np.linalg.lstsq(system.hessian, -system.gradient, rcond=1e-9)[0]
+            hessian = system.hessian + damping * system.count * np.eye(6)
+            update = np.linalg.lstsq(hessian, -system.gradient, rcond=1e-9)[0]
             transform = as_transform(exponential(update) @ transform)
             converged = bool(
                 np.linalg.norm(update[:3]) < _CONVERGED_TRANSLATION

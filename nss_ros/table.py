@@ -1,4 +1,4 @@
-"""One table, written for the terminal, for Markdown, for LaTeX and as CSV."""
+"""One table, written for the terminal, for Markdown, for LaTeX, for the browser and as CSV."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import csv
 import io
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from html import escape
 from numbers import Integral, Real
 
 from rich import box
@@ -138,6 +140,32 @@ class Table:
         ]
         return "\n".join(lines) + "\n"
 
+    def to_html(self, ids: Sequence[str] = ()) -> str:
+        """A `table` element without attributes of style; its cells of numbers have a class.
+
+        The title is its `caption`; what a page does with the table's own caption is up to it.
+
+        Args:
+            ids: the `id` of each row, to which links lead; empty for none.
+        """
+        classes = [
+            "" if column.align is Align.LEFT else ' class="number"' for column in self.columns
+        ]
+        head = "".join(
+            f'<th scope="col"{each}>{_html_heading(column)}</th>'
+            for column, each in zip(self.columns, classes, strict=True)
+        )
+        lines = ["<table>", f"<caption>{escape(self.title)}</caption>"]
+        lines += [f"<thead><tr>{head}</tr></thead>", "<tbody>"]
+        for number, row in enumerate(self._texts()):
+            begin = f'<tr id="{escape(ids[number])}">' if ids else "<tr>"
+            cells = "".join(
+                f"<td{each}>{_html_cell(text)}</td>"
+                for text, each in zip(row, classes, strict=True)
+            )
+            lines.append(f"{begin}{cells}</tr>")
+        return "\n".join([*lines, "</tbody>", "</table>"])
+
     def _texts(self) -> list[list[str]]:
         return [
             [_text(cell, column) for cell, column in zip(row, self.columns, strict=True)]
@@ -195,6 +223,18 @@ _LINE_BREAK = re.compile(r"\r\n|\r|\n")
 def _markdown(text: str) -> str:
     escaped = _MARKDOWN_SPECIAL.sub(lambda match: "\\" + match[0], text)
     return _LINE_BREAK.sub("<br>", escaped)
+
+
+def _html_heading(column: Column) -> str:
+    unit = f' <span class="unit">({escape(column.unit)})</span>' if column.unit else ""
+    return escape(column.name) + unit
+
+
+def _html_cell(text: str) -> str:
+    # A real minus where a number begins with a hyphen; a lone one stands for what is not known.
+    if text.startswith("-") and text[1:2].isdigit():
+        text = _MINUS + text[1:]
+    return _LINE_BREAK.sub("<br>", escape("\N{EN DASH}" if text == NOTHING else text))
 
 
 _LATEX = str.maketrans(

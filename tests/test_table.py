@@ -91,6 +91,25 @@ def test_latex_has_units_escapes_and_real_minus_signs():
     )
 
 
+def test_html_is_a_table_with_ids_and_escaped_texts():
+    columns = (Column("a<b", align=Align.LEFT), Column("x", "%", ".1f"))
+    table = Table("A & B", columns, (("<i>", -1.25), ("two\nlines", None)))
+    assert table.to_html(["r1", "r2"]) == "\n".join(
+        [
+            "<table>",
+            "<caption>A &amp; B</caption>",
+            '<thead><tr><th scope="col">a&lt;b</th>'
+            '<th scope="col" class="number">x <span class="unit">(%)</span></th></tr></thead>',
+            "<tbody>",
+            '<tr id="r1"><td>&lt;i&gt;</td><td class="number">\N{MINUS SIGN}1.2</td></tr>',
+            '<tr id="r2"><td>two<br>lines</td><td class="number">\N{EN DASH}</td></tr>',
+            "</tbody>",
+            "</table>",
+        ]
+    )
+    assert "id=" not in table.to_html()
+
+
 def test_the_terminal_shows_the_same_texts():
     text = console_text(TABLE)
     for part in ("Pairs of cross_area", "(m²)", "1,235", "32.9", "12,345", "OR >= 0.1"):

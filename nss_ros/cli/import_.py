@@ -1,8 +1,9 @@
-"""`nss import`: a challenge folder becomes a bag."""
+"""`nss import`: a folder of the NSS challenge or release becomes a bag, or a dataset."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from rich.progress import track
 
 from nss_ros.bag import write_bag
 from nss_ros.cli.output import print_json
+from nss_ros.cli.progress import progress_bar
 from nss_ros.dataset.challenge_folder import (
     ChallengeFolder,
     PairChoice,
@@ -19,18 +21,39 @@ from nss_ros.dataset.challenge_folder import (
     read_fragment,
 )
 from nss_ros.dataset.manifest import MANIFEST_NAME, read_manifest
+from nss_ros.dataset.release import Release, is_release, read_release
+from nss_ros.dataset.release_import import as_challenge, as_dataset
+from nss_ros.dataset.splits import SETS
+from nss_ros.errors import FormatError, InputError
 from nss_ros.fragment import Fragment
 from nss_ros.multiway.pose_graph import NodeStatus
+
+
+class Kind(StrEnum):
+    """What a folder becomes."""
+
+    BAG = "bag"
+    DATASET = "dataset"
+
+
+class SetName(StrEnum):
+    """A set of a split."""
+
+    TRAIN = "train"
+    VAL = "val"
+    TEST = "test"
 
 
 def import_folder(
     folder: Annotated[
         Path,
         typer.Argument(
-            metavar="DIR", help="NSS-challenge folder: point_cloud/*.ply, pose_graph/**/*.json."
+            metavar="DIR",
+            help="NSS-challenge folder: point_cloud/*.ply, pose_graph/**/*.json; or NSS release: "
+            "pointclouds/*.ply, annotations/<split>/<set>.json.",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Bag folder to create.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to create.")],
     graph: Annotated[
         str | None,
         typer.Option(
@@ -49,17 +72,50 @@ def import_folder(
         bool, typer.Option("--gravity-aligned", help="State that z points up in every fragment.")
     ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    kind: Annotated[
+        Kind, typer.Option("--as", help="Of a release: a bag to map, or a dataset folder.")
+    ] = Kind.BAG,
+    split: Annotated[
+        str | None,
+        typer.Option(help="Of a release, for a bag: which split; else the first that there is."),
+    ] = None,
+    sets: Annotated[
+        list[SetName] | None,
+        typer.Option("--subset", help="Of a release, for a bag: sets of the split; else all."),
+    ] = None,
+    multiway: Annotated[
+        bool,
+        typer.Option("--multiway", help="Of a release, for a bag: the multi-way graphs' edges."),
+    ] = False,
 ) -> None:
-    """Turn a folder of the NSS challenge into a bag.
+    """Turn a folder of the NSS challenge or of the NSS release into a bag.
 
     Reads the field names of 2024 and 2025. Several graphs share their fragments and pairs in one
-    bag. Ground truth goes to the topic ground_truth, which only the scorer reads.
+    bag. Ground truth goes to the topic ground_truth, which only the scorer reads. A release may
+    become a dataset folder instead, for 'nss graphs', 'nss stats' and 'nss refine'.
     """
-    challenge = read_folder(folder, graph, pairs)
+    if folder.is_dir() and is_release(folder):
+        release = read_release(folder)
+        own = release.manifest is not None and release.manifest.gravity_aligned
+        gravity_aligned = gravity_aligned or own
+        if kind is Kind.DATASET:
+            _import_dataset(release, output, gravity_aligned, json)
+            return
+        chosen = [str(name) for name in sets] if sets else list(SETS)
+        challenge = as_challenge(release, split, chosen, multiway, graph)
+        layout = "release"
+    else:
+        if kind is Kind.DATASET:
+            raise InputError(
+                f"{folder} is not a folder of the NSS release, which has annotations/<split>/"
+                "<set>.json: only such a folder becomes a dataset."
+            )
+        challenge = read_folder(folder, graph, pairs)
+        layout = "challenge folder"
     if (folder / MANIFEST_NAME).exists():  # one of our own datasets, which says it itself
         gravity_aligned = gravity_aligned or read_manifest(folder).gravity_aligned
-    fragments = _Fragments(challenge, gravity_aligned, quiet=json)
-    metadata = {"source": f"NSS challenge folder {folder.resolve().name}"}
+    fragments = _Fragments(challenge, gravity_aligned, quiet=json, strict=layout == "release")
+    metadata = {"source": f"NSS {layout} {folder.resolve().name}"}
     write_bag(
         output,
         fragments,
@@ -85,10 +141,40 @@ def import_folder(
     console.print(f"Bag: {output}", soft_wrap=True, highlight=False)
 
 
+def _import_dataset(release: Release, output: Path, gravity_aligned: bool, json: bool) -> None:
+    with progress_bar(quiet=json) as progress:
+        task = progress.add_task("fragments", total=None)
+        dataset, sentences = as_dataset(
+            release,
+            output,
+            gravity_aligned,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    fragments = len(dataset.fragment_ids())
+    pairs = {
+        split: {name: len(part) for name, part in parts.items()}
+        for split, parts in release.annotations.items()
+    }
+    if json:
+        summary = {"dataset": str(output), "fragments": fragments, "pairs": pairs}
+        print_json(summary | {"left_out": list(sentences)})
+        return
+    console = Console()
+    for split, counts in pairs.items():
+        parts = ", ".join(f"{name} {count}" for name, count in counts.items())
+        console.print(f"{split}, pairs: {parts}", highlight=False)
+    for sentence in sentences:
+        console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
+    console.print(f"{fragments} fragments. Dataset: {output}", soft_wrap=True, highlight=False)
+
+
 class _Fragments:
     """The fragments of a folder, read one by one; counts what it has read."""
 
-    def __init__(self, challenge: ChallengeFolder, gravity_aligned: bool, quiet: bool) -> None:
+    def __init__(
+        self, challenge: ChallengeFolder, gravity_aligned: bool, quiet: bool, strict: bool
+    ) -> None:
+        self._strict = strict
         self._files = challenge.point_files
         self._gravity_aligned = gravity_aligned
         self._quiet = quiet
@@ -104,6 +190,11 @@ class _Fragments:
         )
         for fragment_id, file in items:
             fragment, dropped = read_fragment(fragment_id, file, self._gravity_aligned)
+            if dropped and self._strict:
+                raise FormatError(
+                    f"{file} holds {dropped} points that are not finite: copy or export the file "
+                    "again."
+                )
             self.points += len(fragment.points)
             self.dropped += dropped
             yield fragment

@@ -20,6 +20,7 @@ from nss_ros.cli.map import map_
 from nss_ros.cli.pairs import pairs
 from nss_ros.cli.picture import picture
 from nss_ros.cli.refine import refine
+from nss_ros.cli.report import report
 from nss_ros.cli.score import score
 from nss_ros.cli.settings import config, methods
 from nss_ros.cli.simulate import simulate
@@ -40,6 +41,7 @@ app.command("demo")(demo)
 app.command("map")(map_)
 app.command("benchmark")(benchmark)
 app.command("score")(score)
+app.command("report")(report)
 app.command("compare")(compare_logs)
 app.command("view")(view)
 app.command("import")(import_folder)

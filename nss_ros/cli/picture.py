@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 from nss_ros.cli.progress import progress_bar
+from nss_ros.cli.simulate import StoreysOption
 from nss_ros.simulation.picture import interiors_picture, stages_picture, write_png
 from nss_ros.simulation.site_file import areas, site_file_of
 from nss_ros.simulation.view import widest_view
@@ -18,6 +19,7 @@ def picture(
     sites: Annotated[
         list[str], typer.Argument(metavar="SITE...", help="As of 'nss simulate', e.g. six_areas.")
     ],
+    storeys: StoreysOption = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the PNG files.")
     ] = Path("pictures"),
@@ -30,13 +32,15 @@ def picture(
 
     What is new since the stage before is orange in the view from above.
     """
-    site_file, folder = site_file_of(sites)
+    site_file, folder = site_file_of(sites, storeys=storeys)
     output.mkdir(parents=True, exist_ok=True)
     console = Console()
     built = areas(site_file, folder, seed)
     with progress_bar() as progress:
         for name, build in progress.track(built, description="areas"):
             site = build()
+            for sentence in (*site.source.get("skipped", ()), *site.source.get("notes", ())):
+                console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
             view_in = widest_view(site)
             for view, image in (
                 ("stages", stages_picture(site, width)),

@@ -62,7 +62,8 @@ def refine(
     """Refine the relative transforms of different-stage pairs by what stands around both spots.
 
     Upright cylinders around the spots are cut from the scans of both stages and aligned by ICP.
-    The results are written to refined_pairs.jsonl; poses and pairs stay as they are.
+    The results are written to refined_pairs.jsonl, from where 'nss graphs' and 'nss export' take
+    the transforms of these pairs; poses and pairs stay as they are. Remove the file to go back.
     """
     settings = load_config(config, set_).dataset
     folder = DatasetFolder(dataset)

@@ -23,6 +23,15 @@ from nss_ros.fragment import FragmentId
 from nss_ros.simulation.site_file import areas, built_in_sites, site_file_of
 from nss_ros.table import Align, Column, Table
 
+StoreysOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PATTERN",
+        help="Of IFC files, make an area of each storey with walls or columns whose name matches; "
+        "'*' for all. Without it: one area, the storey of most elements.",
+    ),
+]
+
 
 def simulate(
     sites: Annotated[
@@ -33,6 +42,7 @@ def simulate(
             "(YAML); IFC files of one building; or one mesh per stage.",
         ),
     ] = None,
+    storeys: StoreysOption = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Dataset folder; one cut short is completed.")
     ] = Path("dataset"),
@@ -72,8 +82,11 @@ def simulate(
     if bag is not None and bag.exists():
         raise BagError(f"{bag} exists already: choose another name or remove it.")
     begin = time.monotonic()
-    dataset = _generate(sites or ["one_floor"], output, settings, labels, workers, quiet=json)
-    summary = _summary(dataset)
+    warnings: list[str] = []
+    dataset = _generate(
+        sites or ["one_floor"], storeys, output, settings, labels, workers, warnings, quiet=json
+    )
+    summary = _summary(dataset) | {"warnings": warnings}
     if bag is not None:
         summary["bag"] = _bag(bag, dataset, settings, workers, quiet=json)
     summary["seconds"] = time.monotonic() - begin
@@ -85,19 +98,22 @@ def simulate(
 
 def _generate(
     sites: list[str],
+    storeys: str | None,
     output: Path,
     settings: NssConfig,
     labels: bool,
     workers: int,
+    warnings: list[str],
     quiet: bool,
 ) -> DatasetFolder:
-    site_file, folder = site_file_of(sites)
     with progress_bar(quiet) as progress:
         reading = progress.add_task("models", total=None, visible=False)
         scanning = progress.add_task("fragments", total=None)
 
         def read(name: str, done: int, total: int) -> None:
             progress.update(reading, description=name, completed=done, total=total, visible=True)
+
+        site_file, folder = site_file_of(sites, storeys=storeys, report=read)
 
         def scanned(fragment: FragmentId) -> None:
             progress.update(scanning, description=f"fragments of area {fragment.area}", advance=1)
@@ -114,6 +130,7 @@ def _generate(
             workers,
             scanned,
             left_out,
+            warnings.append,
         )
 
 
@@ -149,6 +166,7 @@ def _summary(dataset: DatasetFolder) -> dict[str, Any]:
                     {"name": stage.name, "fragments": stage.fragments} for stage in area.stages
                 ],
                 "skipped": area.source.get("skipped", []),
+                "notes": area.source.get("notes", []),
             }
             for name, area in dataset.manifest.areas.items()
         },
@@ -169,9 +187,11 @@ def _print(summary: dict[str, Any]) -> None:
         Column("fragments"),
     )
     console.print(Table("Fragments", columns, rows).to_rich())
-    for area in summary["areas"].values():
-        for sentence in area["skipped"]:
-            console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
+    sentences = [
+        text for area in summary["areas"].values() for text in (*area["skipped"], *area["notes"])
+    ]
+    for sentence in [*sentences, *summary["warnings"]]:
+        console.print(sentence, style="yellow", soft_wrap=True, highlight=False)
     if bag := summary.get("bag"):
         console.print(
             f"Bag: {bag['path']} ({bag['bytes'] / 1e6:.1f} MB, {bag['same_stage_pairs']} "

@@ -17,6 +17,7 @@ from nss_ros.config.ground_truth import AlignmentConfig, RefinementConfig
 from nss_ros.config.loading import NssConfig, load_config, validated, write_config
 from nss_ros.config.run import (
     FpfhConfig,
+    GravityConfig,
     IcpConfig,
     MultiwayConfig,
     PlayerConfig,
@@ -34,6 +35,7 @@ __all__ = [
     "DatasetConfig",
     "FpfhConfig",
     "GraphConfig",
+    "GravityConfig",
     "IcpConfig",
     "MultiwayConfig",
     "NssConfig",

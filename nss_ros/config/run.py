@@ -62,6 +62,17 @@ class FpfhConfig(Section):
     fgr_iterations: int = Field(64, gt=0, description="Iterations of fast global registration")
 
 
+class GravityConfig(Section):
+    """Exhaustive search of levelled fragments."""
+
+    hypotheses: int = Field(
+        24, gt=0, le=200, description="Poses of the search that are tried; more are slower"
+    )
+    alignments: int = Field(
+        8, gt=0, le=100, description="Poses that are aligned exactly and judged"
+    )
+
+
 class IcpConfig(Section):
     """Point-to-plane refinement."""
 
@@ -88,6 +99,7 @@ class RegistrationConfig(Section):
     overlap_distance: Positive = Field(
         0.2, description="Distance at which points count as overlapping (tau), metres"
     )
+    gravity: GravityConfig = GravityConfig()
     fpfh: FpfhConfig = FpfhConfig()
     icp: IcpConfig = IcpConfig()
 

@@ -16,8 +16,9 @@ from nss_ros.dataset.graphs import challenge_graphs, multiway_graphs, write_grap
 from nss_ros.dataset.manifest import MANIFEST_NAME, current_versions, write_manifest
 from nss_ros.dataset.pairs import PairTable, measure_pairs, read_pairs, write_pairs
 from nss_ros.dataset.ply import count_vertices
+from nss_ros.dataset.refinement import refined_transforms
 from nss_ros.dataset.selection import select_pairs
-from nss_ros.dataset.splits import Split, split_pairs, write_split
+from nss_ros.dataset.splits import SETS, Split, split_pairs, write_split
 from nss_ros.errors import InputError
 from nss_ros.parallel import Engine
 
@@ -122,7 +123,7 @@ def add_graphs(
     config: GraphConfig,
     seed: int,
 ) -> AddedGraphs:
-    """Make pose graphs from a dataset's pairs.
+    """Make pose graphs from a dataset's pairs; of refined pairs, edges have the refined transform.
 
     Challenge graphs are written to `pose_graph/<set>/`, where `nss import` finds them, multi-way
     graphs to `multiway_graph/<split>/<set>/`. What was there before is replaced.
@@ -142,21 +143,28 @@ def add_graphs(
     sets = pair_sets(dataset, split)
     poses = dataset.poses()
     counts = {id_: count_vertices(dataset.point_file(id_)) for id_ in poses}
+    refined = refined_transforms(dataset.path)
     if kind is GraphKind.CHALLENGE:
-        made = challenge_graphs(sets, poses, config, seed, counts)
+        made = challenge_graphs(sets, poses, config, seed, counts, refined=refined)
         folder = dataset.path / GRAPH_FOLDER
     else:
-        made = multiway_graphs(sets, poses, config, counts, "Multiway")
+        made = multiway_graphs(sets, poses, config, counts, "Multiway", refined)
         folder = dataset.path / MULTIWAY_FOLDER / (split or _WHOLE)
     shutil.rmtree(folder, ignore_errors=True)
     write_graph_sets(folder, made.graphs)
-    settings = {"split": split, "graphs": config.model_dump(mode="json")}
+    settings = {
+        "split": split,
+        "graphs": config.model_dump(mode="json"),
+        "refined_pairs": len(refined) // 2,
+    }
     _record(dataset, f"{kind}_graphs", seed, settings)
     return AddedGraphs(folder, made.graphs, made.skipped)
 
 
 def pair_sets(dataset: DatasetFolder, split: Split | None) -> dict[str, PairTable]:
     """All pairs of each set of a split, selected or not; one set "all" without a split.
+
+    Of an imported dataset, the sets hold the pairs that the release annotates.
 
     Raises:
         InputError: the dataset lacks pairs, or does not allow the split.
@@ -169,8 +177,17 @@ def pair_sets(dataset: DatasetFolder, split: Split | None) -> dict[str, PairTabl
     if split is None:
         return {_WHOLE: pairs}
     made = dataset.manifest.steps.get("pairs", {})
+    if made.get("imported"):  # the sets are somebody else's
+        return _imported_sets(dataset, split)
     config = validated(SplitConfig, made.get("splits", {}), MANIFEST_NAME)
     return split_pairs(pairs, split, config, int(made.get("seed", 0)))
+
+
+def _imported_sets(dataset: DatasetFolder, split: Split) -> dict[str, PairTable]:
+    folder = dataset.path / SPLIT_FOLDER / split
+    if not folder.is_dir():
+        raise InputError(f"The release that {dataset.path} was made from has no split '{split}'.")
+    return {name: read_pairs(folder / f"{name}.csv") for name in SETS}
 
 
 def _check_complete(dataset: DatasetFolder) -> None:

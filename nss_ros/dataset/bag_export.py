@@ -12,6 +12,7 @@ import numpy as np
 from nss_ros.bag import write_bag
 from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.dataset.pairs import PairTable
+from nss_ros.dataset.refinement import refined_transforms
 from nss_ros.fragment import Fragment
 from nss_ros.geometry import relative
 from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGraph
@@ -19,6 +20,8 @@ from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGr
 
 def export_bag(path: Path, dataset: DatasetFolder, pairs: PairTable, min_overlap: float) -> None:
     """Write all fragments of a dataset, in canonical order, and the pairs that overlap enough.
+
+    Ground truth of a pair is its refined transform, or else that of the poses.
 
     Args:
         path: folder to create.
@@ -41,12 +44,13 @@ def _fragments(dataset: DatasetFolder) -> Iterator[Fragment]:
 
 def ground_truth_graph(dataset: DatasetFolder, area: str, pairs: PairTable) -> PoseGraph:
     """True poses of an area's fragments, and an edge for each of its pairs."""
+    refined = refined_transforms(dataset.path)
     poses = {id_: pose for id_, pose in dataset.poses().items() if id_.area == area}
     rows = pairs.take(np.array([id_.area == area for id_ in pairs.source], dtype=bool))
     edges = tuple(
         Edge(
             pair,
-            relative(poses[pair.source], poses[pair.target]),
+            refined[pair] if pair in refined else relative(poses[pair.source], poses[pair.target]),
             EdgeKind.SAME_STAGE if pair.same_stage else EdgeKind.DIFFERENT_STAGE,
             overlap_ratio=float(overlap),
             temporal_change=float(change),

@@ -29,6 +29,15 @@ from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGr
 
 NodeId = int | str
 
+# Those of 2024 in place of those of 2025.
+_NODE_NAMES_2024 = {"global_transform": "tsfm"}
+_EDGE_NAMES_2024 = {
+    "source_id": "source",
+    "target_id": "target",
+    "relative_transform": "tsfm",
+    "overlap_ratio": "overlap",
+}
+
 
 @dataclass(frozen=True, slots=True)
 class ChallengeNode:
@@ -123,6 +132,15 @@ def write_graphs(path: Path, graphs: Sequence[ChallengeGraph]) -> None:
         FormatError: the file cannot be written.
     """
     write_file(path, json.dumps([_graph_fields(graph) for graph in graphs]).encode())
+
+
+def write_graphs_2024(path: Path, graphs: Sequence[ChallengeGraph]) -> None:
+    """Write graphs as a list in the field names of 2024, as the release's multi-way annotations.
+
+    Raises:
+        FormatError: the file cannot be written.
+    """
+    write_file(path, (json.dumps([_graph_fields_2024(graph) for graph in graphs]) + "\n").encode())
 
 
 def write_graph(path: Path, graph: ChallengeGraph) -> None:
@@ -388,6 +406,18 @@ def _graph_fields(graph: ChallengeGraph) -> dict[str, Any]:
     if graph.edges is not None:
         fields["edges"] = [_edge_fields(edge) for edge in graph.edges]
     return fields
+
+
+def _graph_fields_2024(graph: ChallengeGraph) -> dict[str, Any]:
+    nodes = []
+    for node in graph.nodes:
+        fields = _node_fields(node) | dict(node.labels)  # texts, not numbers
+        nodes.append({_NODE_NAMES_2024.get(name, name): v for name, v in fields.items()})
+    edges = [
+        {_EDGE_NAMES_2024.get(name, name): value for name, value in _edge_fields(edge).items()}
+        for edge in graph.edges or ()
+    ]
+    return {"name": graph.name, "nodes": nodes, "edges": edges}
 
 
 def _node_fields(node: ChallengeNode) -> dict[str, Any]:

@@ -36,7 +36,7 @@ _BINS = 20
 _CELL_SHARES = 0.01, 30.0  # percent: one scale for every dataset
 _MARGIN = 2.0  # around the spots, metres
 _SKEW, _FORESHORTENING = 0.35, 0.45
-_STYLE: Any = {
+STYLE: Any = {  # settings of matplotlib for all figures
     "font.size": 10,
     "axes.titlesize": 11,
     "axes.spines.top": False,
@@ -74,7 +74,7 @@ def pair_figure(pairs: PairTable, selected: bool) -> Figure:
     masks = [side & some for side in sides for some in (pairs.selected, True)]
     most = max(float(axis.shares(mask).max()) for axis in axes for mask in masks)
     most = 10 * float(np.ceil(max(most, 1) / 10))
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(9.2, 8.0), layout="constrained")
         figure.suptitle(f"{'Selected' if selected else 'All'} pairs ({shown.sum():,})")
         halves = figure.subfigures(1, 2, squeeze=False)[0]
@@ -105,7 +105,7 @@ def plan_figure(graph: PoseGraph) -> Figure:
     rows = -(-len(stages) // columns)
     low, high = _limits(graph)
     height = 9.4 / columns * (high[1] - low[1]) / (high[0] - low[0])
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         size = (10.6, rows * (float(np.clip(height, 1.2, 8.0)) + 0.45) + 0.8)
         figure = Figure(figsize=size, layout="constrained")
         figure.suptitle(_graph_title(graph))
@@ -146,7 +146,7 @@ def spatiotemporal_figure(graph: PoseGraph) -> Figure:
     outline = np.array([low, (high[0], low[1]), high, (low[0], high[1]), low])
     width, depth = np.ptp(_oblique(outline, 0.0), axis=0)
     aspect = (depth + lift * (len(stages) - 1)) / width
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         size = (9.0, float(np.clip(6.4 * aspect, 3.0, 9.0)) + 0.5)
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot(frameon=False)
@@ -187,7 +187,7 @@ def write_figure(path: Path, figure: Figure) -> None:
     if ending not in undated:
         raise InputError(f"{path} cannot be a figure: its name must end with .png, .svg or .pdf.")
     stream = io.BytesIO()
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure.savefig(stream, format=ending[1:], metadata=undated[ending])
     write_file(path, stream.getvalue())
 

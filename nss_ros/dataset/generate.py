@@ -28,6 +28,7 @@ def generate(
     workers: int = 0,
     report: Callable[[FragmentId], None] | None = None,
     left_out: Callable[[FragmentId], None] | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> DatasetFolder:
     """Scan sites into a dataset folder; a folder that was cut short is completed.
 
@@ -43,6 +44,7 @@ def generate(
         workers: processes; 0: one per core.
         report: called after each fragment that was made.
         left_out: called for each spot that sees nothing and so gives no fragment.
+        warn: called with a sentence for each stage in which floor is cut off and gets no spot.
 
     Raises:
         InputError: the folder holds something else or a dataset of other settings, or a stage has
@@ -60,7 +62,7 @@ def generate(
     writer = DatasetWriter(path, manifest, panoramas=config.panorama)
     for name, build in areas:
         if not writer.area_complete(name):
-            _generate_area(writer, build(), config, labels, workers, report, left_out)
+            _generate_area(writer, build(), config, labels, workers, report, left_out, warn)
     writer.finish()
     return DatasetFolder(path)
 
@@ -89,10 +91,12 @@ def _generate_area(
     workers: int,
     report: Callable[[FragmentId], None] | None,
     left_out: Callable[[FragmentId], None] | None,
+    warn: Callable[[str], None] | None,
 ) -> None:
     writer.begin_area(site_record(site), site.source)
     done = writer.done(site.area)
-    for scan in simulate_site(site, config, config.seed, workers, done, report=left_out):
+    scans = simulate_site(site, config, config.seed, workers, done, report=left_out, warn=warn)
+    for scan in scans:
         fragment = scan.fragment
         columns = FragmentColumns(fragment.points, scan.normals)
         if labels:

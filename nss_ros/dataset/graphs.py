@@ -26,7 +26,7 @@ from nss_ros.config import GraphConfig
 from nss_ros.dataset.challenge import ChallengeEdge, ChallengeGraph, ChallengeNode, write_graph
 from nss_ros.dataset.pairs import PairTable
 from nss_ros.errors import FormatError, InputError
-from nss_ros.fragment import FragmentId
+from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.geometry import Transform, relative
 
 _OUTLIER_POSE = np.zeros((4, 4))
@@ -51,6 +51,13 @@ class _Fragments:
 
     poses: Mapping[FragmentId, Transform]
     point_counts: Mapping[FragmentId, int]
+    refined: Mapping[FragmentPair, Transform]
+
+    def relative(self, pair: FragmentPair) -> Transform:
+        """`T_target_source`: refined, or else of the poses."""
+        if pair in self.refined:
+            return self.refined[pair]
+        return relative(_pose(pair.source, self), _pose(pair.target, self))
 
 
 def multiway_graphs(
@@ -59,6 +66,7 @@ def multiway_graphs(
     config: GraphConfig,
     point_counts: Mapping[FragmentId, int] | None = None,
     label: str = "Graph",
+    refined: Mapping[FragmentPair, Transform] | None = None,
 ) -> GraphSets:
     """One graph for each large connected component of each area and set.
 
@@ -69,11 +77,12 @@ def multiway_graphs(
         config: least overlap of an edge and fewest nodes of a graph.
         point_counts: points of each fragment, for the files; None: not told.
         label: graphs are named Bldg<area>_<label><number>.
+        refined: `T_target_source` of pairs that are known better than by their poses.
 
     Raises:
         InputError: a fragment has no pose.
     """
-    fragments = _Fragments(poses, point_counts or {})
+    fragments = _Fragments(poses, point_counts or {}, refined or {})
     graphs: dict[str, list[ChallengeGraph]] = {}
     skipped = []
     numbers: dict[str, Iterable[int]] = {}
@@ -105,6 +114,7 @@ def challenge_graphs(
     seed: int,
     point_counts: Mapping[FragmentId, int] | None = None,
     label: str = "Graph",
+    refined: Mapping[FragmentPair, Transform] | None = None,
 ) -> GraphSets:
     """Many small graphs with outlier nodes for each area and set.
 
@@ -118,11 +128,12 @@ def challenge_graphs(
         seed: of all that is drawn; a graph does not depend on those of other areas or sets.
         point_counts: points of each fragment, for the files; None: not told.
         label: graphs are named Bldg<area>_<label><number>.
+        refined: `T_target_source` of pairs that are known better than by their poses.
 
     Raises:
         InputError: a fragment has no pose.
     """
-    fragments = _Fragments(poses, point_counts or {})
+    fragments = _Fragments(poses, point_counts or {}, refined or {})
     overlapping = _overlapping(sets.values(), config.min_overlap)
     graphs: dict[str, list[ChallengeGraph]] = {}
     skipped = []
@@ -364,7 +375,7 @@ def _overlapping(
     """What each fragment overlaps with, in any direction."""
     result: dict[FragmentId, set[FragmentId]] = {}
     for pairs in tables:
-        most = np.maximum(pairs.overlap_ratio, pairs.reverse_overlap_ratio)
+        most = np.fmax(pairs.overlap_ratio, pairs.reverse_overlap_ratio)
         for pair in pairs.take(most >= min_overlap).pairs:
             result.setdefault(pair.source, set()).add(pair.target)
             result.setdefault(pair.target, set()).add(pair.source)
@@ -387,7 +398,7 @@ def _graph(name: str, network: _Network, drawn: _Drawn, fragments: _Fragments) -
             ChallengeEdge(
                 numbers[pair.source],
                 numbers[pair.target],
-                relative(_pose(pair.source, fragments), _pose(pair.target, fragments)),
+                fragments.relative(pair),
                 pair.same_stage,
                 float(overlap),
                 float(change),

@@ -43,7 +43,7 @@ class PairTable:
         source: FragmentId objects.
         target: FragmentId objects.
         overlap_ratio: share of the source's points that have a point of the target within tau.
-        reverse_overlap_ratio: the same of the target's points.
+        reverse_overlap_ratio: the same of the target's points; NaN where it was not measured.
         temporal_change: ratio in the convex hulls; NaN where they share no point.
         source_complexity: mean surface variation of the source; NaN for an empty fragment.
         target_complexity: the same of the target.
@@ -233,8 +233,7 @@ def _row(words: Sequence[str], place: str) -> _Row:
             number = float(word)
         except ValueError:
             number = float("inf")
-        overlap = name.endswith("overlap_ratio")
-        if not (0 <= number <= 1 or (np.isnan(number) and not overlap)):
+        if not (0 <= number <= 1 or (np.isnan(number) and name != "overlap_ratio")):
             raise FormatError(f"'{name}' in {place} must be a number from 0 to 1, not '{word}'.")
         numbers.append(number)
     if words[-1] not in ("0", "1"):

@@ -48,7 +48,7 @@ class RefinedPair:
         reason: why the refinement was not taken; empty if it was.
         translation: correction at the middle between the spots, metres.
         rotation: correction, radians.
-        rmse: point-to-plane distance of the correspondences, metres.
+        rmse: point-to-plane distance of the correspondences, metres; NaN where it is not known.
         correspondences: of the last iteration.
         deviation: largest standard deviation of the correction along any direction, metres.
     """
@@ -222,12 +222,27 @@ def write_refined(folder: Path, refined: Mapping[FragmentPair, RefinedPair]) -> 
             "reason": result.reason,
             "translation": result.translation,
             "rotation": result.rotation,
-            "rmse": result.rmse,
+            "rmse": result.rmse if np.isfinite(result.rmse) else None,
             "correspondences": result.correspondences,
             "deviation": result.deviation if np.isfinite(result.deviation) else None,
         }
         lines.append(json.dumps(fields) + "\n")
     write_file(folder / REFINED_NAME, "".join(lines).encode())
+
+
+def refined_transforms(folder: Path) -> dict[FragmentPair, Transform]:
+    """`T_target_source` of the pairs that were refined, in both directions; none if none was.
+
+    It is the ground truth of a pair where there is one; elsewhere it follows from the poses.
+
+    Raises:
+        FormatError: the file cannot be read or is not valid.
+    """
+    taken = {
+        pair: each.T_target_source for pair, each in read_refined(folder).items() if each.accepted
+    }
+    turned = {FragmentPair(pair.target, pair.source): inverse(T) for pair, T in taken.items()}
+    return turned | taken
 
 
 def read_refined(folder: Path) -> dict[FragmentPair, RefinedPair]:
@@ -257,6 +272,8 @@ def _refined_line(data: dict[str, object]) -> tuple[FragmentPair, RefinedPair]:
         raise InputError(f"The transform of {pair} is not rigid.")
     if data["deviation"] is None:
         data["deviation"] = np.inf
+    if data["rmse"] is None:
+        data["rmse"] = np.nan
     return pair, RefinedPair(T_target_source=matrix, **data)  # type: ignore[arg-type]
 
 

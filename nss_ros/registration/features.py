@@ -63,6 +63,16 @@ def describe(fragment: Fragment, config: RegistrationConfig) -> FpfhFeatures:
     )
 
 
+def surface_normals(points: Points, radius: float) -> Points:
+    """Unit normals (n, 3) of points in a sensor frame, towards the sensor.
+
+    Args:
+        points: (n, 3), metres.
+        radius: neighbourhood of a normal, metres.
+    """
+    return _normals(_cloud(points), np.zeros(3), radius)
+
+
 def _viewpoint(fragment: Fragment, points: Points) -> NDArray[np.float64]:
     """A point that all surfaces face.
 

@@ -14,8 +14,8 @@ from scipy.special import expit
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentPair
-from nss_ros.geometry import Matrix, Transform
-from nss_ros.icp import Refined, Surface, refine
+from nss_ros.geometry import Transform
+from nss_ros.icp import Surface, refine
 from nss_ros.registration.features import FpfhFeatures, describe
 from nss_ros.registration.fgr import fast_global_registration
 from nss_ros.registration.free_space import RangeImage, View, conflicts
@@ -31,8 +31,6 @@ _TRIAL_ITERATIONS = 10
 _TRIAL_LEVELS = (2.0,)
 _VIEW_POINTS = 5000
 _CONFLICT_WEIGHT = 40.0
-# A direction along which the surfaces can slide is unknown by metres, not infinitely.
-_LEAST_INFORMATION = 1e-2
 
 
 class _Fpfh:
@@ -92,7 +90,7 @@ class _Fpfh:
             pair,
             self.name,
             T_target_source=refined.T_target_source,
-            covariance=_covariance(refined),
+            covariance=refined.covariance,
             overlap_probability=overlap_score(found),
             confidence=self._confidence(found, matches, refined.T_target_source, views),
             inliers=found.inliers,
@@ -244,12 +242,3 @@ def _thinned(features: FpfhFeatures, count: int) -> Surface:
     size = len(features.points)
     chosen = np.linspace(0, size - 1, min(count, size)).astype(np.int64)
     return Surface.of(features.points[chosen], features.normals[chosen])
-
-
-def _covariance(refined: Refined) -> Matrix:
-    """The inverse information, with unknown directions bounded so that it is positive definite."""
-    values, vectors = np.linalg.eigh(refined.information)
-    covariance = np.einsum(
-        "ij,j,kj->ik", vectors, 1 / np.maximum(values, _LEAST_INFORMATION), vectors
-    )
-    return np.asarray((covariance + covariance.T) / 2)

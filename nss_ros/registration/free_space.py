@@ -49,6 +49,12 @@ class RangeImage:
         mode = ("nearest", "wrap")
         return cls(minimum_filter(nearest, 3, mode=mode), maximum_filter(farthest, 3, mode=mode))
 
+    def empty(self, points: Array) -> NDArray[np.bool_]:
+        """Whether each of points (..., 3) was seen to be empty, (...)."""
+        rows, columns, distances = _directions(points)
+        nearest = self.nearest[rows, columns]
+        return np.asarray(np.isfinite(nearest) & (distances < nearest - _MARGIN))
+
     def compare(self, points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """How many of points (..., n, 3) lie in free space, and how many on a surface, (...)."""
         rows, columns, distances = _directions(points)

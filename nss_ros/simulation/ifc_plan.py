@@ -95,6 +95,13 @@ class IfcArea(Section):
         "", description="CSV file with GlobalId and finish, in addition to the tasks in the files"
     )
     stud_spacing: Positive = Field(0.6, description="Distance of studs, metres")
+    clutter: float = Field(
+        0.0,
+        ge=0,
+        le=3,
+        description="Things that lie about and move between stages (stacks, scaffolds, lifts, "
+        "bins), as a factor of their usual number; 0: none",
+    )
     ground: bool = Field(True, description="Add a floor slab where the model has none")
     cache: str = Field("", description="Folder of tessellations; none: ~/.cache/nss_ros/ifc")
 
@@ -119,7 +126,7 @@ class IfcFacts:
 
     Attributes:
         file: name of its file.
-        classes: its IFC class and those above it.
+        classes: its IFC class and those above it; of a part of a wall, then those of the wall.
         name: its name, empty for none.
         global_id: its GlobalId.
         storey: name of the storey that contains it, empty for none.
@@ -178,9 +185,10 @@ def states_of(
     facts: IfcFacts, stages: Sequence[IfcStage], rules: Sequence[IfcRule]
 ) -> dict[State, frozenset[int]]:
     """The stages at which an element is in each state; empty if it is never there."""
-    rule = next((rule for rule in rules if _holds(rule, facts)), None)
-    if rule is None:
+    holding = holding_rules(facts, rules)
+    if not holding:
         return {}
+    rule = rules[holding[0]]
     if rule.by_schedule:
         steps = dict.fromkeys(_built_stages(facts.finish, stages), State.BUILT)
     else:
@@ -192,6 +200,11 @@ def states_of(
         if state is not State.ABSENT:
             found.setdefault(state, set()).add(stage)
     return {state: frozenset(numbers) for state, numbers in found.items()}
+
+
+def holding_rules(facts: IfcFacts, rules: Sequence[IfcRule]) -> list[int]:
+    """Indices of the rules that hold for an element; the first of them counts."""
+    return [index for index, rule in enumerate(rules) if _holds(rule, facts)]
 
 
 def read_schedule(path: Path) -> dict[str, date]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.errors import InputError
+from nss_ros.simulation.clutter import clutter
 from nss_ros.simulation.element import Element, Material
 from nss_ros.simulation.ifc_plan import (
     IfcArea,
@@ -24,6 +25,7 @@ from nss_ros.simulation.ifc_plan import (
     read_schedule,
     states_of,
 )
+from nss_ros.simulation.ifc_report import plan_report
 from nss_ros.simulation.ifc_state import Shape, shapes
 from nss_ros.simulation.ifc_tessellation import (
     Tessellation,
@@ -63,6 +65,10 @@ _FLOOR_SEARCH = 0.5
 _LEVEL = 0.9
 _GROUND_SHARE = 0.2
 _GROUND_THICKNESS = 0.2
+_ONE_LEVEL = 1.2  # difference of heights of storeys that are one, metres
+# Elements in the middle of which the height is so far below or above that of their storey's floor
+# are not where the storey says, metres; of fewer than so many nothing follows.
+_LOST_BELOW, _LOST_ABOVE, _FEW = 1.5, 4.0, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,39 +85,35 @@ class _Storey:
     name: str
     elevation: float
     elements: int
+    walled: bool = False
 
 
-def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None = None) -> Site:
+def build_ifc_site(
+    name: str, area: IfcArea, folder: Path, report: Report | None = None, seed: int = 0
+) -> Site:
     """The site of an area given as a storey of a building model.
 
     Elements of all files are taken whose geometry reaches into the height of the storey, whatever
     storey they are assigned to; coordinates are shifted to the storey's corner and floor. What
-    cannot be tessellated is left out and listed in the site's source as `skipped`.
+    cannot be tessellated is left out and listed in the site's source as `skipped`; what the plan
+    does not do is told there as `notes`.
 
     Args:
         name: of the area.
         area: files, storey and plan.
         folder: that relative paths are relative to.
         report: progress of tessellation: file, percent, 100.
+        seed: of the clutter; a site without it does not depend on it.
 
     Raises:
         InputError: a file or the storey is missing, or nothing is there at some stage.
         FormatError: a file is not valid.
     """
     paths = _files(name, area.files, folder)
-    storeys: list[_Storey] = []
-    parts: list[_Part] = []
-    skipped: list[str] = []
-    for path in paths:
-        model = open_ifc(path)
-        if is_cut_short(path):
-            skipped.append(f"{path.name} is cut short: what follows is missing.")
-        storeys += _storeys(model)
-        entities = _entities(model)
-        made = tessellate(path, model, entities, Path(area.cache) if area.cache else None, report)
-        parts += _parts(path, entities, made)
-        skipped += _missing(path, entities, made)
-    schedule = read_schedule(folder / area.schedule) if area.schedule else {}
+    storeys, parts, skipped = _load(paths, Path(area.cache) if area.cache else None, report)
+    if area.schedule:
+        parts = _scheduled(parts, read_schedule(folder / area.schedule))
+    everything = [part.facts for part in parts]
     if not (storeys or area.storey or not parts):
         lowest = float(min(part.mesh.vertices[:, 2].min() for part in parts))
         storeys = [_Storey("", lowest, len(parts))]
@@ -128,16 +130,19 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
     corner = np.floor(np.min([part.mesh.vertices.min(axis=0) for part in parts], axis=0))
     origin = np.array([corner[0], corner[1], floor])
     low, high = -area.margin, ceiling - floor + area.margin
-    elements = tuple(_cut(each, low, high) for each in _elements(parts, area, schedule, origin))
+    elements = tuple(_cut(each, low, high) for each in _elements(parts, area, origin))
     elements = tuple(each for each in elements if len(each.mesh.triangles))
     _check_stages(name, elements, len(default_plan(area)[0]))
     extent = _extent(elements)
+    notes = plan_report(name, area, everything, [part.facts for part in parts])
+    if not area.storey and area.floor is None:
+        notes += _other_storeys(name, storey, storeys)
     stages, _ = default_plan(area)
     outline = _outline(elements, _APRON if is_lowest else _EDGE)
     if area.ground and _floor_share(elements, outline, area.floor is not None) < _GROUND_SHARE:
         elements = (*elements, _ground(outline, len(stages)))
         extent = _extent(elements)
-    return Site(
+    site = Site(
         name,
         len(stages),
         elements,
@@ -150,8 +155,88 @@ def build_ifc_site(name: str, area: IfcArea, folder: Path, report: Report | None
             "storey": storey,
             "origin": origin.tolist(),
             "skipped": skipped,
+            "notes": notes,
         },
     )
+    if area.clutter == 0:
+        return site
+    lying_about = clutter(site, area.clutter, seed)
+    return replace(
+        site,
+        elements=(*elements, *lying_about),
+        source={**site.source, "clutter_seed": seed, "clutter": len(lying_about)},
+    )
+
+
+def walled_storeys(
+    paths: Sequence[Path], pattern: str = "*", report: Report | None = None
+) -> list[str]:
+    """Names of the storeys of IFC files that hold walls or columns, from the lowest.
+
+    Storeys without them (roofs, foundations, levels that only carry a height) are no place to
+    scan. Of storeys at about one height, as in several files of one building, that of most
+    elements names them all.
+
+    Args:
+        paths: IFC files of one building.
+        pattern: shell pattern that the names match.
+        report: progress of tessellation.
+
+    Raises:
+        InputError: a file is missing, or no storey matches.
+        FormatError: a file is not valid.
+    """
+    storeys, _, _ = _load(paths, None, report)
+    walled = [each for each in storeys if each.walled and fnmatch(each.name, pattern)]
+    if not walled:
+        raise InputError(
+            f"No storey with walls or columns matches '{pattern}': the files have "
+            f"{_names(storeys)}."
+        )
+    levels: list[_Storey] = []
+    for storey in sorted(walled, key=lambda each: -each.elements):
+        if all(abs(storey.elevation - level.elevation) > _ONE_LEVEL for level in levels):
+            levels.append(storey)
+    return list(dict.fromkeys(each.name for each in sorted(levels, key=lambda s: s.elevation)))
+
+
+def _load(
+    paths: Sequence[Path], cache_folder: Path | None, report: Report | None
+) -> tuple[list[_Storey], list[_Part], list[str]]:
+    """Storeys and elements of IFC files, and a sentence for each thing that is missing."""
+    storeys: list[_Storey] = []
+    parts: list[_Part] = []
+    skipped: list[str] = []
+    for path in paths:
+        model = open_ifc(path)
+        if is_cut_short(path):
+            skipped.append(f"{path.name} is cut short: what follows is missing.")
+        entities = _entities(model)
+        made = tessellate(path, model, entities, cache_folder, report)
+        own = list(_parts(path, entities, made))
+        parts += own
+        storeys += [_grounded(storey, own) for storey in _storeys(model)]
+        skipped += _missing(path, entities, made)
+    return storeys, parts, skipped
+
+
+def _grounded(storey: _Storey, parts: Sequence[_Part]) -> _Storey:
+    """A storey where its elements are, if that is not at the height that the file tells.
+
+    Models of one trade and storey often leave the height at 0.
+    """
+    heights = np.array(
+        [
+            (part.mesh.vertices[:, 2].min(), part.mesh.vertices[:, 2].max())
+            for part in parts
+            if part.facts.storey == storey.name
+        ]
+    ).reshape(-1, 2)
+    middles = heights.mean(axis=1) - storey.elevation
+    inside = (middles > -_LOST_BELOW) & (middles < _LOST_ABOVE)
+    if len(heights) < _FEW or inside.mean() >= 0.5:
+        return storey
+    return replace(storey, elevation=float(np.quantile(heights[:, 0], 0.1)))
 
 
 def _files(name: str, patterns: Sequence[str], folder: Path) -> list[Path]:
@@ -176,6 +261,11 @@ def _storeys(model: Any) -> list[_Storey]:
             float(get_local_placement(storey.ObjectPlacement)[2, 3] or storey.Elevation or 0.0)
             * scale,
             sum(len(relation.RelatedElements) for relation in storey.ContainsElements or ()),
+            any(
+                element.is_a("IfcWall") or element.is_a("IfcColumn")
+                for relation in storey.ContainsElements or ()
+                for element in relation.RelatedElements
+            ),
         )
         for storey in model.by_type("IfcBuildingStorey")
     ]
@@ -225,14 +315,20 @@ def _parts(path: Path, entities: Sequence[Any], made: Tessellation) -> Iterator[
 
 
 def _facts(path: Path, entity: Any) -> IfcFacts:
-    from ifcopenshell.util.element import get_container, get_materials, get_psets
+    from ifcopenshell.util.element import get_aggregate, get_container, get_materials, get_psets
 
     container = get_container(entity)
     sets = get_psets(entity)
+    classes = _classes(entity.is_a(), entity.file.schema_identifier)
+    # The blocks and layers of a wall are staged as the wall is.
+    whole = get_aggregate(entity) if _is_a(entity, "IfcBuildingElementPart") else None
+    if whole is not None:
+        sets = get_psets(whole) | sets
+        classes += _classes(whole.is_a(), entity.file.schema_identifier)
     return IfcFacts(
         file=path.name,
-        classes=_classes(entity.is_a(), entity.file.schema_identifier),
-        name=str(entity.Name or ""),
+        classes=classes,
+        name=str(entity.Name or (whole.Name if whole is not None else "") or ""),
         global_id=str(entity.GlobalId),
         storey=str(container.Name or "") if container is not None else "",
         properties={
@@ -321,6 +417,17 @@ def _heights(name: str, area: IfcArea, storeys: Sequence[_Storey]) -> tuple[floa
     return chosen.elevation, area.ceiling or next_floor, chosen.name
 
 
+def _other_storeys(name: str, chosen: str, storeys: Sequence[_Storey]) -> list[str]:
+    """A sentence on the storeys that are left out when none was asked for."""
+    others = [each for each in storeys if each.name != chosen and each.elements]
+    if not others:
+        return []
+    return [
+        f"Area {name} is the storey '{chosen}', which has the most elements; left out are "
+        f"{_names(others)}: --storeys '*' makes an area of each."
+    ]
+
+
 def _names(storeys: Sequence[_Storey]) -> str:
     names = dict.fromkeys(f"'{s.name}' at {s.elevation:g} m" for s in storeys)
     return ", ".join(names) or "no storeys"
@@ -377,23 +484,25 @@ def _level_surfaces(
 
 
 def _elements(
-    parts: Sequence[_Part], area: IfcArea, schedule: dict[str, date], origin: NDArray[np.float64]
+    parts: Sequence[_Part], area: IfcArea, origin: NDArray[np.float64]
 ) -> tuple[Element, ...]:
     stages, rules = default_plan(area)
     elements: list[Element] = []
     for part in parts:
-        facts = part.facts
-        if facts.global_id in schedule:
-            facts = _with_finish(facts, schedule[facts.global_id])
         mesh = Mesh(part.mesh.vertices - origin, part.mesh.triangles)
-        states = states_of(facts, stages, rules)
+        states = states_of(part.facts, stages, rules)
         for shape in shapes(mesh, states, 0.0, area.stud_spacing):
             elements += _elements_of(part, shape)
     return tuple(elements)
 
 
-def _with_finish(facts: IfcFacts, finish: date) -> IfcFacts:
-    return replace(facts, finish=finish)
+def _scheduled(parts: Sequence[_Part], schedule: dict[str, date]) -> list[_Part]:
+    """The parts, with the dates of a schedule instead of those in the files."""
+    dates = ((part, schedule.get(part.facts.global_id)) for part in parts)
+    return [
+        part if finish is None else replace(part, facts=replace(part.facts, finish=finish))
+        for part, finish in dates
+    ]
 
 
 def _elements_of(part: _Part, shape: Shape) -> Iterator[Element]:

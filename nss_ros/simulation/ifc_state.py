@@ -1,11 +1,12 @@
 """What an element looks like before it is finished, from the box around it.
 
-A partition as its track, as studs, or boarded on one side; a slab on props; material in a stack.
+A partition as its track, as studs, or boarded on one side, each without its doors and windows;
+a slab on props; material in a stack.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from nss_ros.geometry import Transform, from_yaw, inverse, transform_points
 from nss_ros.simulation.element import Material
+from nss_ros.simulation.ifc_openings import Panel, panels
 from nss_ros.simulation.ifc_plan import State
 from nss_ros.simulation.mesh import Mesh, box, cylinder, merge, moved
 
@@ -67,29 +69,54 @@ def shapes(
         found.append(Shape("stack", stacked, _stack(mesh, floor), Material.MATT))
     if tracked:
         T_map_wall, size = _upright_box(mesh)
+        wall = panels(moved(mesh, inverse(T_map_wall)), size)
         frame = [
-            Shape("track", tracked, _floor_track(size), Material.METAL),
-            Shape("studs", framed, _stud_frame(size, spacing), Material.METAL),
-            Shape("board", during(State.ONE_SIDE), _board(size), Material.MATT),
+            Shape("track", tracked, _floor_track(wall, size), Material.METAL),
+            Shape("studs", framed, _stud_frame(wall, size, spacing), Material.METAL),
+            Shape("board", during(State.ONE_SIDE), _board(wall, size), Material.MATT),
         ]
         found += [replace(each, mesh=moved(each.mesh, T_map_wall)) for each in frame]
-    return [shape for shape in found if shape.stages]
+    return [shape for shape in found if shape.stages and len(shape.mesh.triangles)]
 
 
-def _floor_track(size: NDArray[np.float64]) -> Mesh:
-    return box((0, 0, 0), (size[0], size[1], _TRACK))
+def _floor_track(wall: Sequence[Panel], size: NDArray[np.float64]) -> Mesh:
+    """Where the wall stands on the floor: not in doors."""
+    standing = [panel for panel in wall if panel.bottom < _TRACK]
+    return merge([box((p.start, 0, 0), (p.end, size[1], _TRACK)) for p in standing])
 
 
-def _stud_frame(size: NDArray[np.float64], spacing: float) -> Mesh:
+def _stud_frame(wall: Sequence[Panel], size: NDArray[np.float64], spacing: float) -> Mesh:
+    """Studs on a grid and beside openings, and the track under the ceiling."""
     length, thickness, height = size.tolist()
     last = max(length - _STUD, 0.0)
-    starts = np.unique(np.append(np.arange(0.0, last, spacing), last))
-    studs = [box((x, 0, 0), (x + _STUD, thickness, height)) for x in starts]
-    return merge([*studs, box((0, 0, height - _TRACK), (length, thickness, height))])
+    grid = np.append(np.arange(0.0, last, spacing), last).tolist()
+    pieces = []
+    for low, high, bottom, top in _runs(wall):
+        # A stud on the grid that is all but the one at the end of the run is left out.
+        inner = [x for x in grid if low + _STUD <= x <= high - 2 * _STUD]
+        ends = [low, max(high - _STUD, low)] if high - low > 3 * _STUD else [low]
+        starts = dict.fromkeys([*ends, *inner])
+        pieces += [box((x, 0, bottom), (min(x + _STUD, high), thickness, top)) for x in starts]
+    hung = [panel for panel in wall if panel.top > height - _TRACK]
+    tracks = [box((p.start, 0, height - _TRACK), (p.end, thickness, height)) for p in hung]
+    return merge([*pieces, *tracks])
 
 
-def _board(size: NDArray[np.float64]) -> Mesh:
-    return box((0, size[1] - _BOARD, 0), tuple(size))
+def _board(wall: Sequence[Panel], size: NDArray[np.float64]) -> Mesh:
+    return merge(
+        [box((p.start, size[1] - _BOARD, p.bottom), (p.end, size[1], p.top)) for p in wall]
+    )
+
+
+def _runs(wall: Sequence[Panel]) -> list[tuple[float, float, float, float]]:
+    """Neighbouring panels of one bottom and top as one: start, end, bottom, top."""
+    runs: list[tuple[float, float, float, float]] = []
+    for panel in sorted(wall, key=lambda p: (p.bottom, p.top, p.start)):
+        if runs and runs[-1][1:] == (panel.start, panel.bottom, panel.top):
+            runs[-1] = (runs[-1][0], panel.end, panel.bottom, panel.top)
+        else:
+            runs.append((panel.start, panel.end, panel.bottom, panel.top))
+    return runs
 
 
 def _upright_box(mesh: Mesh) -> tuple[Transform, NDArray[np.float64]]:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,12 +59,24 @@ class OccupancyMap:
             passage: distance from obstacles that one keeps, metres.
             min_region: least area, as a share of that of the largest region.
         """
+        regions = self.regions(passage)
+        largest = next(regions, None)
+        if largest is None:
+            return []
+        least = min_region * np.count_nonzero(largest)
+        others = regions if min_region < 1 else iter(())
+        return [largest, *takewhile(lambda each: np.count_nonzero(each) >= least, others)]
+
+    def regions(self, passage: float) -> Iterator[NDArray[np.bool_]]:
+        """All connected regions of floor that one can walk on, each (nx, ny), largest first.
+
+        Args:
+            passage: distance from obstacles that one keeps, metres.
+        """
         labels, count = ndimage.label(_distance(self.passable, self.cell_size) >= passage)
         sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-        order = [int(i) for i in np.argsort(-sizes, kind="stable")]
-        kept = [i for i in order[:1] if sizes[i]]
-        kept += [i for i in order[1:] if min_region < 1 and sizes[i] >= min_region * sizes.max()]
-        return [labels == i + 1 for i in kept]
+        for index in np.argsort(-sizes, kind="stable").tolist():
+            yield labels == index + 1
 
     def centres(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """x, y of cells (n, 2), metres."""

@@ -27,7 +27,7 @@ from nss_ros.simulation.panorama import FULL_SCALE, panorama
 from nss_ros.simulation.rig import Returns, draw_pose, scan
 from nss_ros.simulation.scene import Scene
 from nss_ros.simulation.site import Rectangle, Site, StageMesh
-from nss_ros.simulation.viewpoints import choose_viewpoints
+from nss_ros.simulation.viewpoints import choose_viewpoints, unreached_floor
 
 _VIEWPOINT_STREAM, _SCAN_STREAM = 1, 2
 
@@ -81,6 +81,7 @@ def simulate_site(
     skip: Collection[FragmentId] = (),
     spots: Sequence[Spot] | None = None,
     report: Callable[[FragmentId], None] | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Iterator[Scan]:
     """All fragments of a site, in canonical order.
 
@@ -95,11 +96,12 @@ def simulate_site(
         skip: fragments that are there already.
         spots: what `choose_spots` gave for the same arguments, if it was called already.
         report: called with every fragment that is left out because its spot sees nothing.
+        warn: as of `choose_spots`.
 
     Raises:
         InputError: a stage has no free floor to stand on.
     """
-    chosen = choose_spots(site, config, seed, workers) if spots is None else spots
+    chosen = choose_spots(site, config, seed, workers, warn) if spots is None else spots
     done = set(skip)
     wanted = [spot for spot in chosen if spot.id not in done]
     calls = (
@@ -113,7 +115,13 @@ def simulate_site(
             report(spot.id)
 
 
-def choose_spots(site: Site, config: SimulationConfig, seed: int, workers: int = 0) -> list[Spot]:
+def choose_spots(
+    site: Site,
+    config: SimulationConfig,
+    seed: int,
+    workers: int = 0,
+    warn: Callable[[str], None] | None = None,
+) -> list[Spot]:
     """The spots of all stages, in canonical order; each stage chooses its own.
 
     Args:
@@ -121,6 +129,8 @@ def choose_spots(site: Site, config: SimulationConfig, seed: int, workers: int =
         config: viewpoints and range of the rig.
         seed: of the choice.
         workers: processes; 0: one per core.
+        warn: called with a sentence for each stage in which free floor is cut off from the rest
+            and gets no spot.
 
     Raises:
         InputError: a stage has no free floor to stand on.
@@ -131,11 +141,15 @@ def choose_spots(site: Site, config: SimulationConfig, seed: int, workers: int =
          config, seed)
         for stage in _stages(site, numbers)
     )  # fmt: skip
-    return [
-        Spot(FragmentId(site.area, stage, spot), place)
-        for stage, places in zip(numbers, run(_choose_places, calls, workers), strict=True)
-        for spot, place in enumerate(places, start=1)
-    ]
+    spots = []
+    for stage, (places, left_out) in zip(numbers, run(_choose_places, calls, workers), strict=True):
+        if left_out and warn is not None:
+            warn(_cut_off(site.area, stage, left_out))
+        spots += [
+            Spot(FragmentId(site.area, stage, spot), place)
+            for spot, place in enumerate(places, start=1)
+        ]
+    return spots
 
 
 def spot_stream(seed: int, fragment: FragmentId) -> np.random.Generator:
@@ -157,15 +171,25 @@ def _stages(site: Site, numbers: Iterable[int]) -> Iterator[_Stage]:
 _PlaceCall = tuple[_Stage, NDArray[np.bool_], str, Rectangle, float, SimulationConfig, int]
 
 
-def _choose_places(call: _PlaceCall) -> NDArray[np.float64]:
+def _cut_off(area: str, stage: int, sizes: Sequence[float]) -> str:
+    number = "a region" if len(sizes) == 1 else f"{len(sizes)} regions"
+    return (
+        f"Area {area}, stage {stage}: {sum(sizes):.0f} m2 of free floor in {number} cut off from "
+        "the largest get no spot; lower simulation.viewpoints.min_region to scan them, too."
+    )
+
+
+def _choose_places(call: _PlaceCall) -> tuple[NDArray[np.float64], list[float]]:
+    """Where the tripod is put in a stage, and the sizes of regions that it does not get to."""
     stage, of_door, area, extent, floor_height, config, seed = call
     number = stage.key[-1]
     occupancy = occupancy_map(_scene(stage), of_door, extent, floor_height, config.viewpoints)
     rng = _stream(seed, area, number, 0, _VIEWPOINT_STREAM)
     try:
-        return choose_viewpoints(occupancy, config.viewpoints, config.rig.max_range, rng)
+        places = choose_viewpoints(occupancy, config.viewpoints, config.rig.max_range, rng)
     except InputError as error:
         raise InputError(f"Area {area}, stage {number}: {error}") from error
+    return places, unreached_floor(occupancy, config.viewpoints)
 
 
 def _scan_spot(call: tuple[_Stage, Spot, SimulationConfig, int]) -> Scan | None:

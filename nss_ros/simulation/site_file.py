@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Sequence
+from glob import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -27,7 +28,7 @@ from nss_ros.config import SiteConfig, validated
 from nss_ros.config.section import Section
 from nss_ros.errors import InputError
 from nss_ros.simulation.ifc_plan import IfcArea
-from nss_ros.simulation.ifc_site import build_ifc_site
+from nss_ros.simulation.ifc_site import build_ifc_site, walled_storeys
 from nss_ros.simulation.mesh_site import MESH_ENDINGS, MeshArea, build_mesh_site
 from nss_ros.simulation.procedural.floor import build_floor
 from nss_ros.simulation.site import Site
@@ -36,6 +37,7 @@ AreaName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9.-]+$")]
 Report = Callable[[str, int, int], None]
 """Progress of building: what, how much of it is done, of how much."""
 
+_IFC_ENDINGS = frozenset((".ifc", ".ifczip"))
 _BUILT_IN = files("nss_ros.simulation") / "sites"
 
 
@@ -65,18 +67,32 @@ def built_in_sites() -> list[str]:
     return sorted(Path(str(each)).stem for each in _BUILT_IN.iterdir() if _is_yaml(str(each)))
 
 
-def site_file_of(arguments: Sequence[str], area: str = "1") -> tuple[SiteFile, Path]:
+def site_file_of(
+    arguments: Sequence[str],
+    area: str = "1",
+    storeys: str | None = None,
+    report: Report | None = None,
+) -> tuple[SiteFile, Path]:
     """The site file that a user means, and the folder that its paths are relative to.
 
     Args:
         arguments: the name of a built-in site file; the path of one; IFC files of one building;
             or one mesh per stage.
         area: name of the area where no site file names it.
+        storeys: shell pattern of the storeys of IFC files that become an area each, numbered
+            from the lowest; None: one area, the storey of most elements.
+        report: progress of reading the files for their storeys.
 
     Raises:
-        InputError: nothing of that is there.
+        InputError: nothing of that is there, or storeys are asked of what is no IFC file.
         ConfigError: the site file is not valid.
     """
+    models = {Path(argument).suffix.lower() for argument in arguments} <= _IFC_ENDINGS
+    if storeys is not None and not models:
+        raise InputError(
+            "--storeys is for IFC files that are given by name; a site file says itself which "
+            "storey each area is."
+        )
     if not arguments:
         raise InputError(f"Name a site: {', '.join(built_in_sites())}, a site file or models.")
     if len(arguments) == 1 and arguments[0] in built_in_sites():
@@ -92,8 +108,17 @@ def site_file_of(arguments: Sequence[str], area: str = "1") -> tuple[SiteFile, P
     paths = [str(Path(argument).resolve()) for argument in arguments]
     if endings <= {".yaml", ".yml"} and len(arguments) == 1:
         return _read(Path(arguments[0])), Path(arguments[0]).resolve().parent
-    if endings <= {".ifc", ".ifczip"}:
-        entry: dict[str, Any] = {"ifc": {"files": paths}}
+    if models:
+        # Brackets and stars in a name are no pattern.
+        model = {"files": [escape(path) for path in paths], "clutter": 1.0}
+        if storeys is not None:
+            names = walled_storeys([Path(path) for path in paths], storeys, report)
+            entries = {
+                str(number): {"ifc": {**model, "storey": escape(name)}}
+                for number, name in enumerate(names, start=1)
+            }
+            return validated(SiteFile, {"areas": entries}, "the command line"), Path()
+        entry: dict[str, Any] = {"ifc": model}
     elif endings <= MESH_ENDINGS:
         entry = {"meshes": {"stages": paths}}
     else:
@@ -122,12 +147,13 @@ def areas(
 
 
 def _build(name: str, entry: AreaEntry, folder: Path, seed: int, report: Report | None) -> Site:
+    own_seed = zlib.crc32(f"{seed}/{name}".encode())
     if entry.procedural is not None:
-        return build_floor(name, entry.procedural, zlib.crc32(f"{seed}/{name}".encode()))
+        return build_floor(name, entry.procedural, own_seed)
     if entry.meshes is not None:
         return build_mesh_site(name, entry.meshes, folder)
     assert entry.ifc is not None  # exactly one is there
-    return build_ifc_site(name, entry.ifc, folder, report)
+    return build_ifc_site(name, entry.ifc, folder, report, own_seed)
 
 
 def _read(path: Path) -> SiteFile:

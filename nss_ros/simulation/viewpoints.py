@@ -21,6 +21,8 @@ _SAME_VIEW = 0.5
 """A place this near to one that sees nothing new is not tried, metres."""
 _DRAWS = 64
 """Places drawn at a time."""
+_WORTH_TELLING = 10.0
+"""Floor that nobody can reach is told from this size on; shafts are smaller, square metres."""
 
 
 def choose_viewpoints(
@@ -56,6 +58,29 @@ def choose_viewpoints(
         )
     cells = np.array(spots)
     return np.column_stack((occupancy.centres(cells), occupancy.surface[tuple(cells.T)]))
+
+
+def unreached_floor(occupancy: OccupancyMap, config: ViewpointConfig) -> list[float]:
+    """Free regions that get no spot because they are cut off: sizes in square metres, falling.
+
+    Told are those of 10 m2 and more in which a tripod could stand.
+
+    Args:
+        occupancy: the map of the stage.
+        config: as `choose_viewpoints` takes it.
+    """
+    standing = occupancy.clearance() >= config.min_clearance
+    reached = np.zeros_like(standing)
+    for region in occupancy.reachable(config.passage, config.min_region):
+        reached |= region
+    told: list[float] = []
+    for region in occupancy.regions(config.passage):
+        size = float(np.count_nonzero(region)) * occupancy.cell_size**2
+        if size < _WORTH_TELLING:  # as are all that follow
+            break
+        if not (region & reached).any() and (region & standing).any():
+            told.append(size)
+    return told
 
 
 class _Search:

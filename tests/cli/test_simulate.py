@@ -126,6 +126,36 @@ def test_pairs_are_split_and_graphs_make_a_challenge_folder(made):
     assert DatasetFolder(dataset).manifest.steps["pairs"]["seed"] == 0
 
 
+def test_a_release_goes_out_and_comes_back(made, tmp_path):
+    folder, _ = made
+    dataset = DatasetFolder(folder / "dataset")
+    if not (folder / "dataset" / "pairs.csv").exists():
+        run_json("pairs", folder / "dataset", "--workers", 1)
+    written = run_json("export", folder / "dataset", "--layout", "release", "-o", tmp_path / "out")
+    assert written["fragments"] == len(dataset.fragment_ids())
+    brought = run_json("import", tmp_path / "out", "--as", "dataset", "-o", tmp_path / "back")
+    assert brought["pairs"] == written["pairs"]
+    back = DatasetFolder(tmp_path / "back")
+    for id_, pose in dataset.poses().items():
+        assert np.array_equal(back.poses()[id_], pose)
+        assert np.array_equal(back.fragment(id_).points, dataset.fragment(id_).points)
+    options = ("--split", "cross_area", "--subset", "test")
+    bag = run_json("import", tmp_path / "out", "-o", tmp_path / "bag", *options)
+    log = read_log(tmp_path / "bag")
+    assert bag["pairs"] == len(log.pairs) == written["pairs"]["cross_area"]["test"]
+    assert {id_.area for id_ in log.fragments} == {"2"}
+    assert all(fragment.gravity_aligned for fragment in log.fragments.values())
+    for arguments, message in [
+        (("export", folder / "dataset", "-o", tmp_path / "out"), "exists already"),
+        (("export", tmp_path, "--layout", "release", "-o", tmp_path / "x"), "not a dataset"),
+        (("import", folder / "dataset", "--as", "dataset", "-o", tmp_path / "x"), "not a folder"),
+        (("import", tmp_path / "out", "-o", tmp_path / "x", "--split", "mine"), "split 'mine'"),
+    ]:
+        result = run(*arguments)
+        assert result.exit_code != 0
+        assert message in str(result.exception)
+
+
 def test_ground_truth_between_stages_is_refined(made, tmp_path):
     folder, _ = made
     dataset = folder / "dataset"

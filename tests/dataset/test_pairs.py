@@ -208,7 +208,7 @@ ROW = "Bldg1_Stage1_Spot1,Bldg1_Stage1_Spot2,0.5,0.25,nan,0.05,0.06,1\n"
         (HEADER + ROW.replace("Bldg1_Stage1_Spot2", "scan"), "An id in line 2 .* 'scan'"),
         (HEADER + ROW.replace("0.25", "half"), "'reverse_overlap_ratio' in line 2 .* 'half'"),
         (HEADER + ROW.replace("0.25", "1.25"), "must be a number from 0 to 1, not '1.25'"),
-        (HEADER + ROW.replace("0.25", "nan"), "must be a number from 0 to 1, not 'nan'"),
+        (HEADER + ROW.replace("0.5,", "nan,"), "must be a number from 0 to 1, not 'nan'"),
         (HEADER + ROW.replace("0.05", "inf"), "must be a number from 0 to 1, not 'inf'"),
         (HEADER + ROW + ROW, "Bldg1_Stage1_Spot1 -> Bldg1_Stage1_Spot2 occurs twice"),
         (HEADER + ROW.replace("Spot2", "Spot1"), "is of one fragment"),

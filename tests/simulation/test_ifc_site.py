@@ -7,12 +7,14 @@ import ifcopenshell.api.aggregate
 import ifcopenshell.api.context
 import ifcopenshell.api.geometry
 import ifcopenshell.api.material
+import ifcopenshell.api.owner
 import ifcopenshell.api.project
 import ifcopenshell.api.pset
 import ifcopenshell.api.root
 import ifcopenshell.api.sequence
 import ifcopenshell.api.spatial
 import ifcopenshell.api.unit
+import ifcopenshell.guid
 import numpy as np
 import pytest
 import yaml
@@ -43,6 +45,12 @@ class Model:
         self._factor = 1000.0 if millimetres else 1.0
         self._offset = offset
         self._elevation = elevation
+        if schema == "IFC2X3":  # in which everything has an owner
+            owner = ifcopenshell.api.owner
+            person = owner.add_person(self.file)
+            office = owner.add_organisation(self.file)
+            owner.add_person_and_organisation(self.file, person=person, organisation=office)
+            owner.add_application(self.file)
         root = ifcopenshell.api.root.create_entity
         project = root(self.file, "IfcProject", name="test")
         prefix = {"prefix": "MILLI"} if millimetres else {}
@@ -86,7 +94,7 @@ class Model:
         brep = make("IfcFacetedBrep", make("IfcClosedShell", bounds))
         shape = make("IfcShapeRepresentation", self._body, "Body", "Brep", [brep])
         ifcopenshell.api.geometry.assign_representation(self.file, element, shape)
-        if ifc_class != "IfcSpace":
+        if ifc_class not in ("IfcSpace", "IfcOpeningElement"):
             ifcopenshell.api.spatial.assign_container(
                 self.file, products=[element], relating_structure=self.storey
             )
@@ -96,6 +104,15 @@ class Model:
             )
             ifcopenshell.api.pset.edit_pset(self.file, pset=pset, properties=properties)
         return element
+
+    def cut(self, wall, corner, size):
+        """A hole through a wall."""
+        self.file.create_entity(
+            "IfcRelVoidsElement",
+            GlobalId=ifcopenshell.guid.new(),
+            RelatingBuildingElement=wall,
+            RelatedOpeningElement=self.add("IfcOpeningElement", "hole", corner, size),
+        )
 
     def house(self):
         self.add("IfcSlab", "floor", (0, 0, -0.2), (8, 6, 0.2))
@@ -129,7 +146,7 @@ def kinds(site, stage):
     return sorted(element.name for element in site.elements if stage in element.stages)
 
 
-@pytest.mark.parametrize("schema", ["IFC4", "IFC4X3"])  # the real building is of IFC2X3
+@pytest.mark.parametrize("schema", ["IFC2X3", "IFC4", "IFC4X3"])
 def test_a_plan_stages_a_storey(tmp_path, build, schema):
     name = Model(schema).house().write(tmp_path / "house.ifc")
     site = build(name, **STAGED)
@@ -143,6 +160,96 @@ def test_a_plan_stages_a_storey(tmp_path, build, schema):
     assert column.material is Material.METAL
     assert site.source["storey"] == "Level 1"
     assert site.source["skipped"] == []
+
+
+def test_each_storey_is_an_area_if_asked(tmp_path):
+    model = Model("IFC2X3").house()
+    ground = model.storey
+    model.storey = ifcopenshell.api.root.create_entity(
+        model.file, "IfcBuildingStorey", name="Level [2]"
+    )
+    model._elevation = 3.0
+    model._place(model.storey, 0, 0, 0)
+    ifcopenshell.api.aggregate.assign_object(
+        model.file,
+        products=[model.storey],
+        relating_object=model.file.by_type("IfcBuilding")[0],
+    )
+    model.add("IfcWall", "north of 2", (0, 5.8, 0), (8, 0.2, 2.8))
+    model.storey = ifcopenshell.api.root.create_entity(model.file, "IfcBuildingStorey", name="Roof")
+    model._elevation = 6.0
+    model._place(model.storey, 0, 0, 0)
+    model.add("IfcSlab", "roof", (0, 0, 0), (8, 6, 0.2))
+    path = str(tmp_path / model.write(tmp_path / "two [storeys].ifc"))
+    site_file, folder = site_file_of([path], storeys="*")
+    built = dict(areas(site_file, folder, 0))
+    assert list(built) == ["1", "2"]
+    one, two = built["1"](), built["2"]()
+    assert one.source["storey"] == ground.Name == "Level 1"
+    assert two.source["storey"] == "Level [2]"
+    assert two.source["origin"][2] == pytest.approx(3.0)
+    assert "north of 2" in kinds(two, 1)
+    assert "north of 2" not in kinds(one, 1)
+    assert one.source["clutter"] > 0
+    site_file, folder = site_file_of([path])
+    ((_, build),) = areas(site_file, folder, 0)
+    usual, note = build().source["notes"]
+    assert "no place in the usual order of works" in usual
+    assert "1 IfcWall" in usual  # nothing says whether the wall 'rated' bears loads
+    assert "Area 1 is the storey 'Level 1'" in note
+    assert "'Level [2]' at 3 m" in note
+    assert "--storeys '*'" in note
+    site_file, _ = site_file_of([path], storeys="Level [[]*")
+    assert list(site_file.areas) == ["1"]
+    with pytest.raises(InputError, match="matches 'Cellar': the files have 'Level 1' at 0 m"):
+        site_file_of([path], storeys="Cellar")
+    with pytest.raises(InputError, match="--storeys is for IFC files"):
+        site_file_of(["demo"], storeys="*")
+
+
+def test_a_storey_is_where_its_elements_are(tmp_path, build):
+    """Trade models of one storey each, which all say that it lies at 0, as real ones do."""
+    for number, floor in enumerate((0.0, 2.9, 5.8)):
+        model = Model("IFC2X3")
+        model.storey.Name = f"S{number}"
+        model.add("IfcSlab", f"slab {number}", (0, 0, floor - 0.2), (8, 6, 0.2))
+        for y in (0, 2, 4, 5.8):
+            model.add("IfcWall", f"wall {number}", (0, y, floor), (8, 0.2, 2.6))
+        model.write(tmp_path / f"s{number}.ifc")
+    site = build("s*.ifc", storey="S1")
+    assert site.source["origin"][2] == pytest.approx(2.9)
+    names = {element.name for element in site.elements}
+    assert "wall 1" in names
+    assert not {"wall 0", "wall 2"} & names
+    paths = [str(path) for path in sorted(tmp_path.glob("s*.ifc"))]
+    site_file, _ = site_file_of(paths, storeys="*")
+    assert [entry.ifc.storey for entry in site_file.areas.values()] == ["S0", "S1", "S2"]
+
+
+def test_the_blocks_of_a_wall_are_staged_as_the_wall(tmp_path, build):
+    model = Model("IFC2X3").house()
+    wall = ifcopenshell.api.root.create_entity(model.file, "IfcWall", name="of blocks")
+    ifcopenshell.api.spatial.assign_container(
+        model.file, products=[wall], relating_structure=model.storey
+    )
+    pset = ifcopenshell.api.pset.add_pset(model.file, product=wall, name="Pset_WallCommon")
+    ifcopenshell.api.pset.edit_pset(model.file, pset=pset, properties={"LoadBearing": True})
+    block = model.add("IfcBuildingElementPart", "", (2, 2, 0), (2, 0.2, 0.6))
+    ifcopenshell.api.aggregate.assign_object(model.file, products=[block], relating_object=wall)
+    rules = [
+        {
+            "ifc_class": ["IfcWall"],
+            "property": "Pset_WallCommon.LoadBearing",
+            "value": "True",
+            "states": {2: "built"},
+        },
+        {"states": {1: "built"}},
+    ]
+    name = model.write(tmp_path / "house.ifc")
+    site = build(name, stages=[{}, {}], rules=rules)
+    (found,) = [each for each in site.elements if each.name == "of blocks"]
+    assert found.kind == "IfcBuildingElementPart"
+    assert found.stages == {2}
 
 
 def test_units_elevation_and_large_offsets_do_not_matter(tmp_path, build):
@@ -167,6 +274,71 @@ def test_a_ray_sees_studs_then_a_wall(tmp_path, build):
     assert hit[0] < 0.15  # the props under the upper slab
     assert hit[0] < hit[1] < 0.5
     assert hit[2] > 0.95
+
+
+def test_doors_and_windows_of_a_stud_wall_stay_open(tmp_path, build):
+    model = Model("IFC2X3")
+    model.add("IfcSlab", "floor", (0, 0, -0.2), (8, 6, 0.2))
+    wall = model.add("IfcWall", "Partition", (1, 3, 0), (6, 0.1, 2.6))
+    model.cut(wall, (2.0, 2.9, 0), (0.9, 0.3, 2.1))  # a door
+    model.cut(wall, (4.5, 2.9, 0.9), (1.2, 0.3, 1.1))  # a window
+    plan = {
+        "stages": [{}, {}, {}],
+        "rules": [
+            {"name": "Partition", "states": {1: "track", 2: "studs", 3: "one_side"}},
+            {"states": {1: "built"}},
+        ],
+    }
+    site = build(model.write(tmp_path / "door.ifc"), **plan)
+    x = np.arange(1.0125, 7.0, 0.025)
+    for stage in (1, 2, 3):
+        scene = Scene(site.stage_mesh(stage).mesh)
+
+        def solid(z, scene=scene):
+            eyes = np.column_stack((x, np.full_like(x, 2.0), np.full_like(x, z)))
+            toward = np.tile((0.0, 1.0, 0.0), (len(x), 1))
+            return scene.cast(eyes, toward).distances < 1.5
+
+        door = (x > 2.0) & (x < 2.9)
+        window = (x > 4.5) & (x < 5.7)
+        assert not solid(0.02)[door].any()
+        assert solid(0.02)[~door].all()
+        if stage >= 2:
+            assert not solid(1.5)[door | window].any()
+            assert solid(2.58).all()
+            jambs = solid(1.5)[[np.argmin(abs(x - place)) for place in (1.98, 2.92, 4.48, 5.72)]]
+            assert jambs.all()
+            assert 0 < solid(1.5).mean() < 0.5 or stage == 3
+            assert solid(2.3)[door].any()
+            assert solid(0.5)[window].any()
+        if stage == 3:
+            assert solid(1.5)[~door & ~window].all()
+            assert solid(2.3)[door].all()
+
+
+def test_what_a_plan_does_not_do_is_told(tmp_path, build):
+    model = Model().house()
+    model.add("IfcRailing", "rail", (1, 1, 0), (2, 0.05, 1.0))
+    name = model.write(tmp_path / "house.ifc")
+    assert build(name, **STAGED).source["notes"] == []
+    rules = [
+        {"ifc_class": ["IfcWall", "IfcSlab", "IfcColumn"], "states": {1: "built"}},
+        {"name": "Partition*", "states": {2: "built"}},
+        {"file": "*.steel", "states": {1: "built"}},
+        {"name": "rail", "by_schedule": True},
+    ]
+    stages = [{"date": "2026-01-01"}, {"date": "2026-02-01"}]
+    shadowed, nothing, undated = build(name, stages=stages, rules=rules).source["notes"]
+    assert "rule 2 {name: Partition*, states: {2: built}} does nothing" in shadowed
+    assert "take all 1 elements" in shadowed
+    assert "rule 3 {file: *.steel, states: {1: built}} matches no element" in nothing
+    assert "1 elements of rules by schedule have no date" in undated
+    (forgotten,) = build(name, stages=stages, rules=rules[:1]).source["notes"]
+    assert "no rule matches 1 elements, which are left out at all stages: 1 IfcRailing" in forgotten
+    model.add("IfcBuildingElementProxy", "box", (1, 2, 0), (1, 1, 1.0))
+    (usual,) = build(model.write(tmp_path / "more.ifc")).source["notes"]
+    assert "no place in the usual order of works" in usual
+    assert "1 IfcBuildingElementProxy" in usual
 
 
 def test_without_a_plan_the_usual_order_of_works_holds(tmp_path, build):

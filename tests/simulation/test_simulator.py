@@ -107,3 +107,16 @@ def test_a_site_without_floor_is_refused():
     site = Site("A", 1, (wall,), Rectangle(0, 0, 5, 5))
     with pytest.raises(InputError, match="Area A, stage 1: no free floor"):
         list(simulate_site(site, CONFIG, 0, workers=1))
+
+
+def test_a_blocked_passage_is_told():
+    floor = Element("slab", frozenset({1, 2}), box((0, 0, -0.2), (12, 6, 0)))
+    wall = Element("wall", frozenset({2}), box((7.9, -1, 0), (8, 7, 3)))
+    site = Site("A", 2, (floor, wall), Rectangle(0, 0, 12, 6))
+    told = []
+    scans = list(simulate_site(site, CONFIG, 0, workers=1, warn=told.append))
+    assert {scan.fragment.id.stage for scan in scans} == {1, 2}
+    (sentence,) = told
+    assert "Area A, stage 2" in sentence
+    assert "m2 of free floor in a region cut off" in sentence
+    assert "min_region" in sentence

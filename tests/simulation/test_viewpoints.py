@@ -7,7 +7,7 @@ from nss_ros.simulation.mesh import box, merge
 from nss_ros.simulation.occupancy import occupancy_map
 from nss_ros.simulation.scene import Scene
 from nss_ros.simulation.site import Rectangle
-from nss_ros.simulation.viewpoints import choose_viewpoints
+from nss_ros.simulation.viewpoints import choose_viewpoints, unreached_floor
 
 AREA = Rectangle(0.0, 0.0, 8.0, 6.0)
 FLOOR = box((-1, -1, -0.2), (9, 7, 0.0))
@@ -106,6 +106,17 @@ def test_a_closed_room_holds_no_spots_of_another():
     spots = choose_viewpoints(mapped, config, 4.5, np.random.default_rng(0))
     assert (spots[:, 0] > 3.0).all()
     assert len(spots) >= 2
+
+
+def test_floor_that_is_cut_off_is_told():
+    wall = box((2.9, -1.0, 0.0), (3.0, 7.0, 3.0))
+    cut = occupancy(wall)
+    (size,) = unreached_floor(cut, CONFIG)
+    assert 12.0 < size < 2.9 * 6.0  # less what is too near the wall
+    assert unreached_floor(cut, CONFIG.model_copy(update={"min_region": 0.3})) == []
+    assert unreached_floor(occupancy(), CONFIG) == []
+    closet = [box((0, 1.5, 0), (1.6, 1.6, 3)), box((1.5, 0, 0), (1.6, 1.6, 3))]
+    assert unreached_floor(occupancy(*closet), CONFIG) == []  # too small to be told
 
 
 def test_a_floor_without_room_to_stand_is_refused():

@@ -20,16 +20,13 @@ from nss_ros.simulation.procedural.furniture import furnish
 from nss_ros.simulation.procedural.layout import Layout, Room, RoomKind
 from nss_ros.simulation.procedural.plan import COLUMN_WIDTH, Plan
 from nss_ros.simulation.procedural.programme import FURNITURE, Programme
-from nss_ros.simulation.procedural.things import THINGS, Thing
+from nss_ros.simulation.procedural.things import DENSITIES, STAYS, Thing, draw_thing
 from nss_ros.simulation.site import Rectangle
 
-# Things per square metre, and the work from which on, for each of `things.PHASES`.
-_DENSITY = (0.01, 0.08, 0.05, 0.09, 0.09, 0.04)
 _CORRIDOR_SHARE = 0.5  # of that in corridors, where one has to get through
 _PHASE_STARTS = (-2.0, 0.0, 1.8, 4.4, 7.4)
 _DOOR_CLEARANCE = 0.9
 _TRIES = 30
-_STAYS = 0.15
 _WALL_MARGIN = 0.12
 _NARROW = 0.4  # half the depth of what may stand in a corridor, metres
 
@@ -141,12 +138,12 @@ def _cluttered(
     elements = []
     room = floor.room
     share = _CORRIDOR_SHARE if room.kind is RoomKind.CORRIDOR else 1.0
-    density = np.array(_DENSITY) * (amount * share)
+    density = np.array(DENSITIES) * (amount * share)
     for stage in range(1, programme.stages + 1):
         phase = int(np.searchsorted(_PHASE_STARTS, programme.times[room.zone, stage - 1], "right"))
         for _ in range(int(rng.poisson(room.area.area * density[phase]))):
-            thing = _draw(phase, rng)
-            stays = stage < programme.stages and rng.random() < _STAYS
+            thing = draw_thing(phase, rng)
+            stays = stage < programme.stages and rng.random() < STAYS
             stages = stages_from(stage, stage + 1 if stays else stage)
             if stays and (stage in floor.raised) != (stage + 1 in floor.raised):
                 stages = stages_from(stage, stage)
@@ -158,11 +155,6 @@ def _cluttered(
             name = f"{thing.kind.replace('_', ' ')} {len(floor.standing)}, {room.name}"
             elements.append(Element(thing.kind, stages, mesh, thing.material, name))
     return elements
-
-
-def _draw(phase: int, rng: np.random.Generator) -> Thing:
-    weights = np.array([thing.weights[phase] for thing in THINGS])
-    return THINGS[int(rng.choice(len(THINGS), p=weights / weights.sum()))]
 
 
 def _place(

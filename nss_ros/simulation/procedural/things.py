@@ -26,6 +26,11 @@ from nss_ros.simulation.mesh import (
 
 PHASES = ("in use", "strip-out", "shell", "framing", "closing", "finishing")
 
+DENSITIES = (0.01, 0.08, 0.05, 0.09, 0.09, 0.04)
+"""Things per square metre in each of `PHASES`."""
+STAYS = 0.15
+"""Share of them that are still there at the next stage."""
+
 
 @dataclass(frozen=True, slots=True)
 class Thing:
@@ -426,3 +431,9 @@ THINGS = (
     Thing(site_toilet, "site_toilet", True, (0, 0.1, 0.3, 0.15, 0.1, 0)),
     Thing(cartons, "cartons", False, (1, 1, 0.2, 0.7, 1, 2.5)),
 )
+
+
+def draw_thing(phase: int, rng: np.random.Generator) -> Thing:
+    """A kind of thing as often as it is met in one of `PHASES`."""
+    weights = np.array([thing.weights[phase] for thing in THINGS])
+    return THINGS[int(rng.choice(len(THINGS), p=weights / weights.sum()))]

@@ -1,0 +1,1 @@
+"""Registration of levelled fragments by exhaustive search over yaw, x and y."""

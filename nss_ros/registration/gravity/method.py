@@ -1,0 +1,203 @@
+"""The method `gravity`: exhaustive search, robust ICP and a calibrated choice.
+
+Levelled fragments differ by yaw and translation only. All yaw angles and shifts in x and y are
+scored at once on learned maps (`search`), the best hypotheses are aligned (`refinement`), and
+each gets the probability that it is right (`verifier`). Fragments that are not levelled are left
+to `fpfh_ransac`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from nss_ros.config import RegistrationConfig
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair
+from nss_ros.geometry import Transform, relative, rotation_angle
+from nss_ros.registration.features import FpfhFeatures
+from nss_ros.registration.fpfh import FpfhRansac
+from nss_ros.registration.gravity.network import GravityNetwork, as_target
+from nss_ros.registration.gravity.refinement import Candidate, Shape, aligned, tried
+from nss_ros.registration.gravity.scan import LevelScan, scan_of
+from nss_ros.registration.gravity.search import Search, search
+from nss_ros.registration.gravity.verifier import judge
+from nss_ros.registration.gravity.view import agreement
+from nss_ros.registration.gravity.weights import Networks, load_weights
+from nss_ros.registration.relative_transform import (
+    Hypothesis,
+    Reason,
+    RelativeTransform,
+    failed,
+)
+
+# Alignments closer than this are one hypothesis.
+_SAME_TRANSLATION, _SAME_ROTATION = 0.2, np.radians(6)
+# Trials are compared by the score of the search and by these, found by logistic regression.
+_SHARED_WEIGHT, _CONFLICT_WEIGHT = 5.0, 10.0
+_LEAST_PROBABILITY = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class GravityFeatures:
+    """What the method keeps of a fragment.
+
+    Attributes:
+        id: the fragment.
+        points: voxelised points that it has.
+        shape: what alignment needs; None when it is not levelled or has too few points.
+        maps: (2, CHANNELS, h, w) float32, as a source: for a pair of different stages, and for
+            one of one stage; None when `shape` is.
+        generic: features for `fpfh_ransac` when it is not levelled; else None.
+    """
+
+    id: FragmentId
+    points: int
+    shape: Shape | None
+    maps: NDArray[np.float32] | None
+    generic: FpfhFeatures | None
+
+
+class Gravity:
+    """Exhaustive registration of levelled fragments."""
+
+    name = "gravity"
+
+    def __init__(self, config: RegistrationConfig, networks: Networks | None = None) -> None:
+        # There are as many workers as cores, and the sums of one thread are always the same.
+        torch.set_num_threads(1)
+        self.config = config
+        self._generic = FpfhRansac(config)
+        self._network, self._verifier = networks or load_weights()
+
+    def prepare(self, fragment: Fragment) -> GravityFeatures:
+        """Points, maps and features of a fragment."""
+        if not fragment.gravity_aligned:
+            generic = self._generic.prepare(fragment)
+            return GravityFeatures(fragment.id, len(generic.points), None, None, generic)
+        return self.prepare_scan(scan_of(fragment, self.config))
+
+    def prepare_scan(self, scan: LevelScan) -> GravityFeatures:
+        """Features of a levelled fragment."""
+        count = len(scan.points)
+        if count < self.config.min_points:
+            return GravityFeatures(scan.id, count, None, None, None)
+        shape = Shape.of(scan, self.config)
+        return GravityFeatures(scan.id, count, shape, feature_maps(self._network, scan), None)
+
+    def register(
+        self, source: GravityFeatures, target: GravityFeatures, seed: int
+    ) -> RelativeTransform:
+        """`T_target_source` of two prepared fragments; the seed is for those not levelled."""
+        if source.generic is not None and target.generic is not None:
+            answer = self._generic.register(source.generic, target.generic, seed)
+            return replace(answer, method=self.name)
+        pair = FragmentPair(source.id, target.id)
+        for features in (source, target):
+            if features.points < self.config.min_points:
+                message = (
+                    f"{features.id} has {features.points} voxelised points, fewer than "
+                    f"{self.config.min_points}."
+                )
+                return failed(pair, self.name, Reason.TOO_FEW_POINTS, message)
+            if features.shape is None:
+                message = (
+                    f"{features.id} is not levelled and the other fragment is: level both, or "
+                    "neither."
+                )
+                return failed(pair, self.name, Reason.NOT_LEVEL, message)
+        return self._answer(pair, source, target)
+
+    def candidates(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Candidate, ...]:
+        """Aligned hypotheses of two levelled fragments, the most promising first."""
+        assert source.shape is not None
+        assert target.shape is not None
+        found = self.search(source, target)
+        trials = [tried(source.shape, target.shape, peak, self.config) for peak in found.peaks]
+        order = _promise(source.shape, target.shape, trials, found)
+        chosen: list[Candidate] = []
+        for number in order:
+            if len(chosen) >= self.config.gravity.alignments:
+                break
+            start = trials[number]
+            if _is_known(start, chosen):
+                continue
+            candidate = aligned(
+                source.shape, target.shape, start, found.peaks[number], found, self.config
+            )
+            if not _is_known(candidate.refined.T_target_source, chosen):
+                chosen.append(candidate)
+        return tuple(chosen)
+
+    def search(self, source: GravityFeatures, target: GravityFeatures) -> Search:
+        """The best poses before any refinement."""
+        assert source.maps is not None
+        assert target.maps is not None
+        kind = int(FragmentPair(source.id, target.id).same_stage)
+        return search(
+            torch.from_numpy(source.maps[kind]),
+            as_target(torch.from_numpy(target.maps[kind])),
+            self.config.gravity.hypotheses,
+        )
+
+    def _answer(
+        self, pair: FragmentPair, source: GravityFeatures, target: GravityFeatures
+    ) -> RelativeTransform:
+        candidates = self.candidates(source, target)
+        judged = judge(self._verifier, [each.signs for each in candidates], pair.same_stage)
+        order = np.argsort(-judged.probabilities, kind="stable")
+        best = candidates[order[0]]
+        hypotheses = tuple(
+            Hypothesis(
+                candidates[number].refined.T_target_source,
+                float(judged.probabilities[number]),
+                candidates[number].refined.covariance,
+            )
+            for number in order[1:]
+            if judged.probabilities[number] > _LEAST_PROBABILITY
+        )
+        return RelativeTransform(
+            pair,
+            self.name,
+            T_target_source=best.refined.T_target_source,
+            covariance=best.refined.covariance,
+            overlap_probability=judged.overlap,
+            confidence=float(judged.probabilities[order[0]]),
+            inliers=best.support.inliers,
+            inlier_ratio=best.support.inlier_ratio,
+            rmse=best.support.rmse,
+            alternatives=hypotheses,
+        )
+
+
+def feature_maps(network: GravityNetwork, scan: LevelScan) -> NDArray[np.float32]:
+    """Features (2, CHANNELS, h, w) as a source, for different stages and for one."""
+    with torch.inference_mode():
+        maps = torch.from_numpy(scan.maps).float()[None]
+        shared = network(maps)
+        both = [network.features(maps, shared, bool(kind))[0] for kind in range(2)]
+        return np.asarray(torch.stack(both).numpy())
+
+
+def _promise(
+    source: Shape, target: Shape, trials: list[Transform], found: Search
+) -> NDArray[np.intp]:
+    """Order of the trials: by the search, and by what both scanners saw."""
+    scores = np.array([peak.score for peak in found.peaks])
+    seen = [agreement(source.view, target.view, each) for each in trials]
+    scores += _SHARED_WEIGHT * np.array([each.shared for each in seen])
+    scores -= _CONFLICT_WEIGHT * np.array([each.conflict for each in seen])
+    return np.argsort(-scores, kind="stable")
+
+
+def _is_known(transform: Transform, chosen: list[Candidate]) -> bool:
+    for candidate in chosen:
+        difference = relative(transform, candidate.refined.T_target_source)
+        if (
+            np.linalg.norm(difference[:3, 3]) < _SAME_TRANSLATION
+            and rotation_angle(difference) < _SAME_ROTATION
+        ):
+            return True
+    return False

@@ -1,0 +1,231 @@
+"""From a pose of the search to an exact alignment, and the signs that tell whether it is right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from nss_ros.config import RegistrationConfig
+from nss_ros.geometry import Transform, from_yaw, relative, rotation_angle, tilt_angle
+from nss_ros.icp import Refined, Surface, refine
+from nss_ros.registration.gravity.scan import LevelScan
+from nss_ros.registration.gravity.search import Peak, Search
+from nss_ros.registration.gravity.view import WallView, agreement
+from nss_ros.registration.validation import Support, support
+
+# Point-to-plane distance at which a surface counts a quarter, metres: what changed must not pull.
+_KERNEL = 0.05
+_TRIAL_POINTS, _TRIAL_ITERATIONS, _TRIAL_LEVELS = 800, 6, (3.0,)
+_DAMPING = 0.005
+# An alignment that leaves the cell of the search was carried away.
+_MOST_TRANSLATION, _MOST_ROTATION = 0.5, np.radians(8)
+_LEVEL_NORMAL = 0.8
+_HEIGHT_POINTS = 400
+# Level surfaces are matched across, with heights counting less.
+_HEIGHT_WEIGHT = 0.2
+_HEIGHT_REACH, _HEIGHT_BIN = 0.4, 0.04
+
+Array = NDArray[np.float64]
+
+#: Names of the signs, in the order of `Candidate.signs`.
+SIGNS = (
+    "inlier_ratio",
+    "inlier_ratio_back",
+    "agreement",
+    "rmse",
+    "free",
+    "shared",
+    "conflict",
+    "score",
+    "margin",
+    "mass",
+    "evidence",
+    "moved",
+    "turned",
+    "tilt",
+    "stiffness",
+    "floor",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What alignment needs of a levelled fragment.
+
+    Attributes:
+        scan: points, normals and floor.
+        surface: all points.
+        thin: some of the points.
+        moderate: more of the points.
+        levels: (n, 4) float64, x, y, weighted z, and whether it faces up, of level surfaces.
+        level_tree: search tree of `levels`.
+        view: what its scanner saw.
+    """
+
+    scan: LevelScan
+    surface: Surface
+    thin: Surface
+    moderate: Surface
+    levels: Array
+    level_tree: Any
+    view: WallView
+
+    @classmethod
+    def of(cls, scan: LevelScan, config: RegistrationConfig) -> Shape:
+        """The shape of a prepared fragment."""
+        normals = scan.normals
+        level = np.abs(normals[:, 2]) > _LEVEL_NORMAL
+        columns = (
+            scan.points[level, :2],
+            _HEIGHT_WEIGHT * scan.points[level, 2:],
+            10.0 * (normals[level, 2:] > 0),
+        )
+        levels = np.hstack(columns).astype(np.float64)
+        return cls(
+            scan,
+            Surface.of(scan.points, normals),
+            _thinned(scan, _TRIAL_POINTS),
+            _thinned(scan, config.icp.max_points),
+            levels,
+            cKDTree(levels),
+            WallView.of(scan.points, normals),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """An aligned hypothesis.
+
+    Attributes:
+        refined: outcome of ICP.
+        support: by the points.
+        signs: (len(SIGNS),) float64.
+    """
+
+    refined: Refined
+    support: Support
+    signs: Array
+
+
+def tried(source: Shape, target: Shape, peak: Peak, config: RegistrationConfig) -> Transform:
+    """A short alignment of few points, to compare hypotheses."""
+    start = from_yaw(peak.yaw, (peak.x, peak.y, 0.0))
+    start[2, 3] = _height(source, target, start)
+    distance = config.icp.max_distance
+    found = refine(
+        source.thin,
+        target.surface,
+        start,
+        distance,
+        _TRIAL_ITERATIONS,
+        _TRIAL_LEVELS,
+        _KERNEL,
+        _DAMPING,
+    ).T_target_source
+    return found if _is_near(found, start) else start
+
+
+def aligned(
+    source: Shape,
+    target: Shape,
+    start: Transform,
+    peak: Peak,
+    search: Search,
+    config: RegistrationConfig,
+) -> Candidate:
+    """The exact alignment from a start, and its signs."""
+    refined = refine(
+        source.moderate,
+        target.surface,
+        start,
+        config.icp.max_distance,
+        config.icp.iterations,
+        kernel=_KERNEL,
+        damping=_DAMPING,
+    )
+    if not _is_near(refined.T_target_source, start):
+        refined = replace(refined, T_target_source=start, converged=False)
+    transform = refined.T_target_source
+    forth = support(source.moderate, target.surface, transform, config)
+    seen = agreement(source.view, target.view, transform)
+    peak_pose = from_yaw(peak.yaw, (peak.x, peak.y, transform[2, 3]))
+    difference = relative(transform, peak_pose)
+    stiffness = np.linalg.eigvalsh(refined.information[np.ix_((0, 1, 5), (0, 1, 5))])[0]
+    signs = (
+        forth.inlier_ratio,
+        _inlier_share(source, target, transform, config.overlap_distance),
+        forth.agreement,
+        forth.rmse,
+        seen.free,
+        seen.shared,
+        seen.conflict,
+        peak.score,
+        peak.score - search.peaks[0].score,
+        max(peak.mass, -20.0),
+        search.evidence,
+        float(np.linalg.norm(difference[:2, 3])),
+        rotation_angle(difference),
+        tilt_angle(transform),
+        float(np.log(max(stiffness, 1e-3))),
+        min(source.scan.floor.share, target.scan.floor.share),
+    )
+    return Candidate(refined, forth, np.array(signs))
+
+
+def _is_near(transform: Transform, start: Transform) -> bool:
+    difference = relative(transform, start)
+    return bool(
+        np.linalg.norm(difference[:3, 3]) < _MOST_TRANSLATION
+        and rotation_angle(difference) < _MOST_ROTATION
+    )
+
+
+def _inlier_share(source: Shape, target: Shape, transform: Transform, tau: float) -> float:
+    """Share of the target's points near one of the source's."""
+    inverse = np.linalg.inv(transform)
+    moved = target.thin.points @ inverse[:3, :3].T + inverse[:3, 3]
+    distances, _ = source.surface.tree.query(moved, distance_upper_bound=tau)
+    return float(np.isfinite(distances).mean())
+
+
+def _height(source: Shape, target: Shape, T_target_source: Transform) -> float:
+    """Height of the alignment: of the floors, or better what most level surfaces agree on.
+
+    Floors rise between stages (screed, raised floors), and ceilings come down.
+    """
+    floors = target.scan.floor.height - source.scan.floor.height
+    step = max(len(source.levels) // _HEIGHT_POINTS, 1)
+    moving = source.levels[::step]
+    if len(moving) == 0 or len(target.levels) == 0:
+        return floors
+    c, s = T_target_source[0, 0], T_target_source[1, 0]
+    x, y = moving[:, 0], moving[:, 1]
+    moved = np.column_stack(
+        (
+            c * x - s * y + T_target_source[0, 3],
+            s * x + c * y + T_target_source[1, 3],
+            moving[:, 2] + _HEIGHT_WEIGHT * floors,
+            moving[:, 3],
+        )
+    )
+    distances, nearest = target.level_tree.query(moved, distance_upper_bound=0.25)
+    found = np.isfinite(distances)
+    differences = (target.levels[nearest[found], 2] - moved[found, 2]) / _HEIGHT_WEIGHT
+    edges = np.arange(-_HEIGHT_REACH, _HEIGHT_REACH + _HEIGHT_BIN, _HEIGHT_BIN)
+    counts, _ = np.histogram(differences, edges)
+    if counts.sum() < 10:
+        return floors
+    counts = np.convolve(counts, (1, 2, 1), mode="same")
+    centre = edges[int(np.argmax(counts))] + _HEIGHT_BIN / 2
+    near = np.abs(differences - centre) < _HEIGHT_BIN
+    return floors + float(np.median(differences[near])) if near.any() else floors
+
+
+def _thinned(scan: LevelScan, count: int) -> Surface:
+    size = len(scan.points)
+    chosen = np.linspace(0, size - 1, min(count, size)).astype(np.int64)
+    return Surface.of(scan.points[chosen], scan.normals[chosen])

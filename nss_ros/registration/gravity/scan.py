@@ -1,0 +1,42 @@
+"""What the gravity method keeps of a levelled fragment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from nss_ros.config import RegistrationConfig
+from nss_ros.fragment import Fragment, FragmentId, Points, clean_points, voxelize
+from nss_ros.registration.features import surface_normals
+from nss_ros.registration.gravity.raster import Floor, Raster, find_floor, rasterize
+
+_VOXEL_SIZE = 0.075
+_FARTHEST = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class LevelScan:
+    """A levelled fragment, ready to be mapped from above.
+
+    Attributes:
+        id: the fragment.
+        points: (n, 3) float32, voxelised, metres, sensor frame.
+        normals: (n, 3) float32, unit, towards the sensor.
+        floor: where the floor is.
+        maps: (slices, layers, SIZE, SIZE) float16, see `raster`.
+    """
+
+    id: FragmentId
+    points: Points
+    normals: Points
+    floor: Floor
+    maps: Raster
+
+
+def scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
+    """Points, normals, floor and maps of a levelled fragment."""
+    points = clean_points(fragment.points)
+    near = (points**2).sum(axis=1) < _FARTHEST**2
+    points = voxelize(points[near], _VOXEL_SIZE)
+    normals = surface_normals(points, config.fpfh.normal_radius)
+    floor = find_floor(points, normals)
+    return LevelScan(fragment.id, points, normals, floor, rasterize(points, normals, floor.height))

@@ -1,0 +1,91 @@
+"""Trains the weights of the gravity method from simulated datasets.
+
+    ./nss python -m nss_ros.registration.gravity.train DATASET... -o gravity.safetensors
+
+The network learns from all datasets but the last, whose pairs train the verifier: its hypotheses
+must be as good and as bad as those of sites that the network has not seen.
+"""
+
+from __future__ import annotations
+
+import argparse
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.progress import Progress
+
+from nss_ros.config import RegistrationConfig
+from nss_ros.registration.gravity.method import Gravity, GravityFeatures
+from nss_ros.registration.gravity.network import GravityNetwork
+from nss_ros.registration.gravity.training import TrainingConfig, train
+from nss_ros.registration.gravity.training_data import (
+    ExampleSource,
+    Item,
+    read_items,
+    relative_truth,
+)
+from nss_ros.registration.gravity.verifier import Verifier
+from nss_ros.registration.gravity.verifier_training import Case, case_of, train_verifier
+from nss_ros.registration.gravity.weights import save_weights
+
+_APART_SHARE = 0.2
+_CACHE = 400
+
+
+def main() -> None:
+    """Train and write the weights."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("datasets", type=Path, nargs="+", help="two or more, of different seeds")
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--verifier-pairs", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=0)
+    arguments = parser.parse_args()
+    if len(arguments.datasets) < 2:
+        parser.error("at least two datasets are needed: the last one trains the verifier")
+
+    config = RegistrationConfig(method="gravity", seed=arguments.seed)
+    *folders, last = arguments.datasets
+    network, verifier = GravityNetwork(), Verifier()
+    items = read_items(folders, config, arguments.workers)
+    with Progress() as bar:
+        task = bar.add_task("network", total=arguments.steps)
+        settings = TrainingConfig(steps=arguments.steps, seed=arguments.seed)
+        for step, loss, hits in train(network, items, settings):
+            bar.update(task, completed=step + 1, description=f"loss {loss:.2f}, hits {hits:.2f}")
+    cases = collect(
+        Gravity(config, (network, verifier)),
+        read_items([last], config, arguments.workers),
+        arguments.verifier_pairs,
+        arguments.seed,
+    )
+    loss = train_verifier(verifier, cases, arguments.seed)
+    print(f"verifier: loss {loss:.3f}")
+    save_weights(arguments.output, network, verifier)
+
+
+def collect(method: Gravity, items: list[Item], count: int, seed: int) -> list[Case]:
+    """Hypotheses of pairs drawn from prepared fragments, with what is right."""
+
+    @lru_cache(_CACHE)
+    def features(number: int) -> GravityFeatures:
+        return method.prepare_scan(items[number].scan)
+
+    torch.set_num_threads(1)
+    rng = np.random.default_rng(seed)
+    examples = ExampleSource(items, seed)
+    cases = []
+    for _ in range(count):
+        apart = bool(rng.random() < _APART_SHARE)
+        example = examples.draw_apart() if apart else examples.draw()
+        truth = None if apart else relative_truth(items, example.source, example.target)
+        candidates = method.candidates(features(example.source), features(example.target))
+        cases.append(case_of(candidates, truth, example.same_stage))
+    return cases
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""The trained weights that come with the package."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+from safetensors.torch import load, save
+from torch import Tensor
+
+from nss_ros.errors import MethodError
+from nss_ros.files import write_file
+from nss_ros.registration.gravity.network import GravityNetwork
+from nss_ros.registration.gravity.verifier import Verifier
+
+Networks = tuple[GravityNetwork, Verifier]
+
+_NETWORK, _VERIFIER = "network.", "verifier."
+
+
+@cache
+def load_weights(path: Path | None = None) -> Networks:
+    """The trained networks, from a file or as they come with the package.
+
+    Raises:
+        MethodError: there is no such file, or it is not of this method.
+    """
+    source = path or files("nss_ros.registration.gravity") / "gravity.safetensors"
+    try:
+        tensors = load(source.read_bytes())
+        network, verifier = GravityNetwork(), Verifier()
+        network.load_state_dict(_part(tensors, _NETWORK))
+        verifier.load_state_dict(_part(tensors, _VERIFIER))
+    except Exception as error:
+        raise MethodError(
+            f"{source} does not hold weights of the method gravity: {error}"
+        ) from error
+    return network.eval(), verifier.eval()
+
+
+def save_weights(path: Path, network: GravityNetwork, verifier: Verifier) -> None:
+    """Writes the networks to a file."""
+    tensors = {_NETWORK + name: value for name, value in network.state_dict().items()}
+    tensors |= {_VERIFIER + name: value for name, value in verifier.state_dict().items()}
+    write_file(path, save({name: value.contiguous() for name, value in tensors.items()}))
+
+
+def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {
+        name.removeprefix(prefix): value
+        for name, value in tensors.items()
+        if name.startswith(prefix)
+    }

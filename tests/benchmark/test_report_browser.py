@@ -1,0 +1,186 @@
+"""The report in a real browser, without a network."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nss_ros.benchmark.bootstrap import Bootstrap
+from nss_ros.benchmark.report import report
+from nss_ros.benchmark.run import measured_run
+from nss_ros.benchmark.run_timing import RunTiming
+from nss_ros.multiway.pose_graph import EdgeStatus
+
+playwright = pytest.importorskip("playwright.sync_api")
+
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium here")
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+NO_WEBGL = """
+const context = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+  return kind.includes("webgl") ? null : context.call(this, kind, ...rest);
+};
+"""
+DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 740}
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page_file(make_run, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "browser_report.html"
+    if path.exists():  # of the test before
+        return path
+    log = make_run(wrong=(0, 1, 7))
+    edges = tuple(
+        replace(edge, status=EdgeStatus.REJECTED) if i in (0, 1, 7) else edge
+        for i, edge in enumerate(log.pose_graph.edges)
+    )
+    log = replace(log, pose_graph=replace(log.pose_graph, edges=edges))
+    times = np.arange(15, dtype=np.float64)
+    timing = RunTiming(times[:6], times, log.pairs, times + 2, times * 0 + 2, times * 0 + 1)
+    text = report([measured_run(log, timing, Bootstrap(20))], worst=2, most_points=4000)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def opened(browser, path, init="", **options):
+    """A page, what it complains of, and what it asks the network for."""
+    page = browser.new_context(**options).new_page()
+    page.add_init_script(init)
+    complaints, requests = [], []
+    page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on(
+        "request",
+        lambda r: requests.append(r.url) if not r.url.startswith(("file:", "data:")) else None,
+    )
+    page.goto(path.as_uri())
+    return page, complaints, requests
+
+
+def overflow(page):
+    return page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+
+
+def read_through(page):
+    """Bring every chart into sight once, and wait until it is drawn."""
+    for element in page.query_selector_all(".plot, .view"):
+        element.scroll_into_view_if_needed()
+    page.wait_for_function(
+        "[...document.querySelectorAll('.plot, .view')].every(e => e.querySelector('.main-svg'))"
+    )
+
+
+def shown_traces(page):
+    """The stages whose points the 3-D view shows, by number."""
+    page.wait_for_function("document.querySelector('.view').data !== undefined")
+    visible = page.evaluate("document.querySelector('.view').data.map(t => t.visible !== false)")
+    return [i for i in range(len(visible) // 3) if visible[3 * i]]
+
+
+def test_the_report_on_a_desktop(browser, page_file, tmp_path):
+    page, complaints, requests = opened(browser, page_file, viewport=DESKTOP)
+    read_through(page)
+    assert complaints == []
+    assert requests == []
+    assert overflow(page) <= 0
+
+    slider = page.locator(".model input[type=range]")
+    slider.scroll_into_view_if_needed()
+    label = page.locator(".model output")
+    assert label.text_content() == "All 2 stages"
+    assert shown_traces(page) == [0, 1]
+    page.wait_for_timeout(300)
+    everything = page.locator(".view").screenshot()
+    slider.fill("0")
+    assert label.text_content() == "Stage 1"
+    assert shown_traces(page) == [0]
+    page.wait_for_timeout(300)
+    assert page.locator(".view").screenshot() != everything
+    slider.press("ArrowRight")
+    assert label.text_content() == "Stage 2"
+    assert shown_traces(page) == [1]
+    page.locator(".ceiling").check()
+    assert page.evaluate("document.querySelector('.view').data[4].visible") is True
+
+    # From a worst pair to its row, also when a filter hides that row.
+    page.locator(".filters button", has_text="right").click()
+    hidden = page.locator("tr.wrong").first
+    assert not hidden.is_visible()
+    page.locator(".worst a").first.click()
+    row = page.locator("tr:target")
+    assert row.is_visible()
+    assert "wrong" in row.text_content()
+    assert row.locator("td").first.text_content() in page.locator(".worst a").first.text_content()
+    page.locator(".filters input").fill("no such pair")
+    assert page.locator(".all-pairs tbody tr:visible").count() == 0
+
+    page.screenshot(path=tmp_path / "desktop.png", full_page=True)
+    assert (tmp_path / "desktop.png").stat().st_size > 50_000
+    assert complaints == []
+    assert requests == []
+    page.context.close()
+
+
+def test_the_report_on_a_phone(browser, page_file, tmp_path):
+    page, complaints, requests = opened(
+        browser, page_file, viewport=PHONE, is_mobile=True, has_touch=True
+    )
+    read_through(page)
+    assert overflow(page) <= 0
+    widths = page.evaluate(
+        "[...document.querySelectorAll('.plot .main-svg')]"
+        ".map(e => e.getBoundingClientRect().right)"
+    )
+    assert max(widths) <= PHONE["width"]
+    # A drag on a chart must scroll the page.
+    assert page.evaluate("document.querySelector('.plot').layout.dragmode") is False
+    page.locator(".model input[type=range]").fill("1")
+    assert shown_traces(page) == [1]
+    page.screenshot(path=tmp_path / "phone.png", full_page=True)
+    assert complaints == []
+    assert requests == []
+    page.context.close()
+
+
+def test_the_report_on_paper(browser, page_file, tmp_path):
+    page, complaints, _ = opened(browser, page_file, viewport=DESKTOP)
+    page.emulate_media(media="print")
+    assert page.locator(".panels:visible, .model:visible, nav:visible").count() == 0
+    assert page.locator("img.still:visible").count() == page.locator("img.still").count() > 5
+    page.pdf(path=tmp_path / "report.pdf")
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
+    assert complaints == []
+    page.context.close()
+
+
+def test_the_report_where_little_works(browser, page_file):
+    page, complaints, _ = opened(browser, page_file, viewport=DESKTOP, init=NO_WEBGL)
+    page.locator(".model .view").scroll_into_view_if_needed()
+    page.wait_for_selector(".view.missing")
+    assert "the pictures below show the map" in page.locator(".view").text_content()
+    page.locator(".model input[type=range]").fill("0")
+    assert complaints == []
+    page.context.close()
+
+    page, _, _ = opened(browser, page_file, viewport=DESKTOP, java_script_enabled=False)
+    assert page.locator("img.still").first.is_visible()
+    assert not page.locator(".model").first.is_visible()
+    page.context.close()

@@ -1,0 +1,112 @@
+"""The method gravity with the weights that come with it."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from nss_ros.config import RegistrationConfig
+from nss_ros.errors import MethodError
+from nss_ros.fragment import Fragment, FragmentId
+from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
+from nss_ros.registration.gravity.weights import load_weights
+from nss_ros.registration.method import load_method
+from nss_ros.registration.relative_transform import Reason
+
+CONFIG = RegistrationConfig(method="gravity")
+OTHER = FragmentId("1", 1, 1)
+
+
+@pytest.fixture(scope="module")
+def method():
+    return load_method(CONFIG)
+
+
+def register(method, source, target):
+    return method.register(method.prepare(source), method.prepare(target), 0)
+
+
+def moved(fragment, transform, stage=1):
+    points = transform_points(transform, fragment.points).astype(np.float32)
+    return Fragment(FragmentId("1", stage, 5), points, True)
+
+
+@pytest.mark.parametrize("stage", [1, 2])
+@pytest.mark.parametrize("yaw", [0.4, 2.2, -1.9])
+def test_a_turned_scan_is_registered_and_known_to_be_right(method, scans, yaw, stage):
+    truth = from_yaw(yaw, (0.1, -0.2, 0.05))
+    answer = register(method, scans[0], moved(scans[1], truth, stage))
+    assert answer.ok
+    error = relative(answer.T_target_source, truth)
+    assert np.linalg.norm(error[:3, 3]) < 0.05
+    assert np.degrees(rotation_angle(error)) < 2
+    assert np.linalg.eigvalsh(answer.covariance)[0] > 0
+    total = answer.confidence + sum(each.probability for each in answer.alternatives)
+    assert 0 < answer.confidence <= total <= 1 + 1e-6
+
+
+def test_exchanging_the_fragments_inverts_the_transform(method, scans):
+    target = moved(scans[1], from_yaw(1.0, (0.2, 0.1, 0)))
+    forth, back = register(method, scans[0], target), register(method, target, scans[0])
+    assert np.allclose(forth.T_target_source, inverse(back.T_target_source), atol=0.03)
+
+
+def test_the_answer_is_the_same_bytes_and_survives_pickling(method, scans):
+    features = [method.prepare(each) for each in scans]
+    first = method.register(*features, 0)
+    again = method.register(*pickle.loads(pickle.dumps(features)), 1)
+    assert first.T_target_source.tobytes() == again.T_target_source.tobytes()
+    assert first.confidence == again.confidence
+
+
+def plane(normal):
+    points = np.random.default_rng(3).uniform(-3, 3, (4000, 3))
+    points[:, normal] = -1.6 if normal == 2 else 2.0
+    return points.astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [plane(0), plane(2), np.random.default_rng(0).normal(0, 2, (3000, 3)).astype(np.float32)],
+    ids=["one wall", "only a floor", "noise"],
+)
+def test_what_cannot_be_registered_gets_low_confidence(method, scans, points):
+    answer = register(method, Fragment(OTHER, points, True), scans[0])
+    assert answer.confidence < 0.5
+
+
+def test_a_scan_upside_down_gets_low_confidence(method, scans):
+    flipped = scans[0].points * np.float32((1, -1, -1))
+    answer = register(method, Fragment(OTHER, flipped, True), scans[1])
+    assert answer.confidence < 0.5
+
+
+@pytest.mark.parametrize("count", [0, 1, 50])
+def test_too_few_points_are_told(method, scans, count):
+    answer = register(method, Fragment(OTHER, scans[0].points[:count], True), scans[1])
+    assert answer.reason is Reason.TOO_FEW_POINTS
+    assert str(OTHER) in answer.message
+
+
+def test_points_that_are_not_numbers_do_no_harm(method, scans):
+    points = scans[0].points.copy()
+    points[::7] = np.nan
+    assert register(method, Fragment(scans[0].id, points, True), scans[1]).ok
+
+
+def test_fragments_that_are_not_levelled_use_six_degrees_of_freedom(method, scans):
+    loose = [Fragment(each.id, each.points, False) for each in scans]
+    answer = register(method, *loose)
+    assert answer.ok
+    assert answer.method == "gravity"
+    mixed = register(method, loose[0], scans[1])
+    assert mixed.reason is Reason.NOT_LEVEL
+
+
+def test_weights_that_are_none_are_an_error(tmp_path):
+    path = tmp_path / "weights.safetensors"
+    with pytest.raises(MethodError, match="weights"):
+        load_weights(path)
+    path.write_bytes(b"nothing")
+    with pytest.raises(MethodError, match="weights"):
+        load_weights(path)
