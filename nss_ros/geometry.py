@@ -7,6 +7,8 @@ radians, of a perturbation applied in the target frame.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -82,11 +84,29 @@ def from_rotation(rotation: Rotation, translation: ArrayLike) -> Transform:
 
 
 def from_quaternion(xyzw: ArrayLike, translation: ArrayLike) -> Transform:
-    """A transform from a quaternion (x, y, z, w), of any non-zero length, and metres."""
-    quaternion = np.asarray(xyzw, dtype=np.float64)
-    if not np.isfinite(quaternion).all() or np.linalg.norm(quaternion) < 1e-9:
+    """A transform from a quaternion (x, y, z, w), of any non-zero length, and metres.
+
+    Raises:
+        InputError: the quaternion is not finite, or has no length.
+    """
+    # In plain numbers: logs hold many poses, and a scipy rotation takes 20 times as long.
+    x, y, z, w = np.asarray(xyzw, dtype=np.float64).tolist()
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if not math.isfinite(length) or length < 1e-9:
         raise InputError("An orientation needs a finite quaternion of non-zero length.")
-    return from_rotation(Rotation.from_quat(quaternion), translation)
+    x, y, z, w = x / length, y / length, z / length, w / length
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    xy, xz, yz = x * y, x * z, y * z
+    xw, yw, zw = x * w, y * w, z * w
+    tx, ty, tz = np.asarray(translation, dtype=np.float64).tolist()
+    return np.array(
+        (
+            (xx - yy - zz + ww, 2 * (xy - zw), 2 * (xz + yw), tx),
+            (2 * (xy + zw), -xx + yy - zz + ww, 2 * (yz - xw), ty),
+            (2 * (xz - yw), 2 * (yz + xw), -xx - yy + zz + ww, tz),
+            (0.0, 0.0, 0.0, 1.0),
+        )
+    )
 
 
 def to_quaternion(transform: Transform) -> Vector:

@@ -7,6 +7,7 @@ same fields, so reading needs no distinction, and writing takes the `MessageFami
 from __future__ import annotations
 
 import array
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -171,7 +172,7 @@ def pose_from(message: Message) -> tuple[Transform, Matrix]:
     """
     position, orientation = message.pose.position, message.pose.orientation
     translation = (position.x, position.y, position.z)
-    if not np.isfinite(translation).all():
+    if not all(map(math.isfinite, translation)):
         raise InputError("A pose needs a finite position.")
     quaternion = (orientation.x, orientation.y, orientation.z, orientation.w)
     covariance = np.asarray(message.covariance, dtype=np.float64).reshape(6, 6)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import socket
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -23,6 +22,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from nss_ros.errors import InputError, WorkerDiedError
+from nss_ros.network import knock
 from nss_ros.worker_process import end_with, stop_now, worker_pool
 
 Item = TypeVar("Item")
@@ -33,7 +33,6 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # Calls that are handed out at a time for each worker: one runs, one is in reach. With more than
 # fit joblib's queue, its thread stumbles over the rest when the caller is interrupted.
 _IN_REACH = 2
-_PATIENCE = 5.0  # seconds
 
 
 class Engine(StrEnum):
@@ -194,7 +193,7 @@ def _connected_ray() -> Any:
         address = os.environ.get("RAY_ADDRESS", "")
         try:
             if address:
-                _knock(address)
+                knock(address)
                 ray.init(log_to_driver=False, logging_level=logging.ERROR)
             else:
                 ray.init(
@@ -209,13 +208,6 @@ def _connected_ray() -> Any:
                 "use the engine 'local'."
             ) from error
     return ray
-
-
-def _knock(address: str) -> None:
-    """Raise an OSError if nobody listens at an address: Ray itself would try for minutes."""
-    host, _, port = address.removeprefix("ray://").rpartition(":")
-    if host and port.isdigit():
-        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE).close()
 
 
 def _death() -> WorkerDiedError:

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.spatial.transform import Rotation
 
 from nss_ros.errors import InputError
 from nss_ros.geometry import (
@@ -45,6 +46,19 @@ def test_logarithm_undoes_exponential(twist):
 def test_adjoint_moves_a_perturbation_to_the_target_frame(transform, twist):
     left = transform @ exponential(twist) @ inverse(transform)
     np.testing.assert_allclose(left, exponential(adjoint(transform) @ twist), atol=1e-9)
+
+
+@given(arrays(np.float64, 4, elements=numbers), arrays(np.float64, 3, elements=numbers))
+def test_quaternions_of_any_length_are_those_of_scipy(xyzw, translation):
+    if np.linalg.norm(xyzw) < 1e-9:
+        with pytest.raises(InputError, match="non-zero length"):
+            from_quaternion(xyzw, translation)
+        return
+    transform = from_quaternion(xyzw, translation)
+    rotation = Rotation.from_quat(xyzw).as_matrix()
+    np.testing.assert_allclose(transform[:3, :3], rotation, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(transform[:3, 3], translation)
+    np.testing.assert_array_equal(transform[3], (0, 0, 0, 1))
 
 
 @given(transforms)

@@ -25,6 +25,7 @@ from nss_ros.cli.score import score
 from nss_ros.cli.settings import config, methods
 from nss_ros.cli.simulate import simulate
 from nss_ros.cli.stats import stats
+from nss_ros.cli.view import view
 from nss_ros.errors import NssError
 
 app = typer.Typer(
@@ -42,6 +43,7 @@ app.command("benchmark")(benchmark)
 app.command("score")(score)
 app.command("report")(report)
 app.command("compare")(compare_logs)
+app.command("view")(view)
 app.command("import")(import_folder)
 app.command("export")(export)
 app.command("simulate")(simulate)

@@ -6,19 +6,11 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from nss_ros.colors import ACCEPTED, REJECTED, stage_color
 from nss_ros.multiway.pose_graph import EdgeStatus, Node, NodeStatus, PoseGraph
 
-# Colour-blind safe (Okabe and Ito), one per stage in turn.
-_STAGE_COLORS = (
-    (0.00, 0.45, 0.70),
-    (0.90, 0.62, 0.00),
-    (0.00, 0.62, 0.45),
-    (0.80, 0.47, 0.65),
-    (0.34, 0.71, 0.91),
-    (0.84, 0.37, 0.00),
-)
-_ACCEPTED = ColorRGBA(r=0.2, g=0.7, b=0.2, a=0.8)
-_REJECTED = ColorRGBA(r=0.8, g=0.1, b=0.1, a=0.4)
+_ACCEPTED = ColorRGBA(**dict(zip("rgb", ACCEPTED, strict=True)), a=0.8)
+_REJECTED = ColorRGBA(**dict(zip("rgb", REJECTED, strict=True)), a=0.4)
 _NODE_SIZE = 0.25
 _LINE_WIDTH = 0.03
 
@@ -37,7 +29,7 @@ def graph_markers(graph: PoseGraph, frame_id: str) -> MarkerArray:
     for stage in stages:
         nodes = [node for id_, node in placed.items() if id_.stage == stage]
         marker = _marker(frame_id, f"stage_{stage}", Marker.SPHERE_LIST, _NODE_SIZE)
-        red, green, blue = _STAGE_COLORS[stage % len(_STAGE_COLORS)]
+        red, green, blue = stage_color(stage)
         marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
         marker.points = [_position(node) for node in nodes]
         markers.append(marker)
