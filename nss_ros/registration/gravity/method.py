@@ -35,7 +35,7 @@ from nss_ros.registration.relative_transform import (
 
 # Alignments closer than this are one hypothesis.
 _SAME_TRANSLATION, _SAME_ROTATION = 0.2, np.radians(6)
-# Trials are compared by the score of the search and by these, found by logistic regression.
+# Trials are compared by the score of the search and by these, set by hand.
 _SHARED_WEIGHT, _CONFLICT_WEIGHT = 5.0, 10.0
 _LEAST_PROBABILITY = 0.01
 
