@@ -149,7 +149,7 @@ def run_benchmark(
         for name, registration in registrations.items():
             register_missing(
                 dataset,
-                plan.pairs(),
+                plan.pairs,
                 registration,
                 journal,
                 folder.work,
@@ -212,7 +212,7 @@ class _Writer:
         """The map of each log; a sentence where it could not be made, None without."""
         tasks = {log: self._tasks(log) for log in logs if log.synchronizer}
         # On this machine: an area takes seconds, and its answers would have to travel.
-        made = run(area_map, (task for each in tasks.values() for task in each), force.workers)
+        made = run(area_map, (task for each in tasks.values() for task in each), force.here)
         maps: list[PoseGraph | str | None] = []
         for log in logs:
             parts = [next(made) for _ in tasks.get(log, ())]
@@ -288,7 +288,7 @@ class _Writer:
         }
 
     def _timing(self, method: str) -> Timing:
-        wanted = self.plan.pairs()
+        wanted = self.plan.pairs
         results = [self.journal.of(method)[pair].result for pair in wanted]
         prepare = list(self.journal.prepare_seconds.get(method, {}).values())
         seconds = [result.compute_time for result in results]
