@@ -269,14 +269,13 @@ class _Writer:
         }
         entries: list[Entry] = [answers[pair] for pair in table.pairs]
         metadata = {name: value for name, value in own.items() if value}
-        write_log(log.path, truth, entries, map_, common | metadata)
+        write_log(log.path, self.folder.begun, truth, entries, map_, common | metadata)
 
     def _metadata(self) -> dict[str, str]:
         """What all logs tell: of the dataset, of the code, and where the point clouds are."""
         bag = self.folder.fragments
         if not bag.exists():
-            begun = self.folder.work / bag.name
-            begun.parent.mkdir(parents=True, exist_ok=True)
+            begun = self.folder.begun / bag.name
             shutil.rmtree(begun, ignore_errors=True)
             export_fragments(begun, self.dataset)
             begun.rename(bag)
