@@ -38,6 +38,7 @@ class ResultsFolder:
         self.logs = path / "logs"
         self.fragments = path / "fragments"
         self.work = path / "work"
+        self.begun = self.work / "begun"
 
     @contextmanager
     def opened(

@@ -37,16 +37,15 @@ class PairChoice(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The pairs of each split, in the order of the dataset."""
+    """The pairs that are registered.
+
+    Attributes:
+        splits: pairs of each split, in the order of the dataset.
+        pairs: those of all splits, each once, such that neighbours share fragments.
+    """
 
     splits: dict[BatchSplit, PairTable]
-
-    def pairs(self) -> list[FragmentPair]:
-        """The pairs of all splits, each once, such that neighbours share fragments."""
-        pairs = {pair for table in self.splits.values() for pair in table.pairs}
-        ids = sorted({id_ for pair in pairs for id_ in (pair.source, pair.target)})
-        tile = {id_: number // _TILE for number, id_ in enumerate(ids)}
-        return sorted(pairs, key=lambda pair: (tile[pair.source], tile[pair.target], pair))
+    pairs: tuple[FragmentPair, ...]
 
 
 def planned(
@@ -71,21 +70,28 @@ def planned(
         raise InputError(
             f"{dataset.path} is not complete: finish it with the 'nss simulate' that began it."
         )
-    plan = Plan({split: _table(dataset, split, choice, min_overlap) for split in splits})
+    tables = {split: _table(dataset, split, choice, min_overlap) for split in splits}
+    pairs = _in_tiles({pair for table in tables.values() for pair in table.pairs})
     known = set(dataset.fragment_ids())
-    for pair in plan.pairs():
+    for pair in pairs:
         unknown = {pair.source, pair.target} - known
         if unknown:
             raise FormatError(
                 f"{dataset.path / PAIRS_NAME} names {unknown.pop()}, which the dataset does not "
                 f"have: run 'nss pairs {dataset.path}' again."
             )
-    return plan
+    return Plan(tables, pairs)
 
 
 def fragments_of(pairs: PairTable) -> list[FragmentId]:
     """The fragments of some pairs, in canonical order."""
     return sorted({*pairs.source.tolist(), *pairs.target.tolist()})
+
+
+def _in_tiles(pairs: set[FragmentPair]) -> tuple[FragmentPair, ...]:
+    ids = sorted({id_ for pair in pairs for id_ in (pair.source, pair.target)})
+    tile = {id_: number // _TILE for number, id_ in enumerate(ids)}
+    return tuple(sorted(pairs, key=lambda pair: (tile[pair.source], tile[pair.target], pair)))
 
 
 def _table(

@@ -45,6 +45,11 @@ class Workforce:
     engine: Engine = Engine.LOCAL
     memory_limit: int = 1024
 
+    @property
+    def here(self) -> int:
+        """Processes of this machine for what does not go to Ray; 0: one per core."""
+        return self.workers if self.engine is Engine.LOCAL else 0
+
 
 @dataclass(frozen=True, slots=True)
 class _Job:

@@ -149,7 +149,7 @@ def run_benchmark(
         for name, registration in registrations.items():
             register_missing(
                 dataset,
-                plan.pairs(),
+                plan.pairs,
                 registration,
                 journal,
                 folder.work,
@@ -212,7 +212,7 @@ class _Writer:
         """The map of each log; a sentence where it could not be made, None without."""
         tasks = {log: self._tasks(log) for log in logs if log.synchronizer}
         # On this machine: an area takes seconds, and its answers would have to travel.
-        made = run(area_map, (task for each in tasks.values() for task in each), force.workers)
+        made = run(area_map, (task for each in tasks.values() for task in each), force.here)
         maps: list[PoseGraph | str | None] = []
         for log in logs:
             parts = [next(made) for _ in tasks.get(log, ())]
@@ -269,14 +269,13 @@ class _Writer:
         }
         entries: list[Entry] = [answers[pair] for pair in table.pairs]
         metadata = {name: value for name, value in own.items() if value}
-        write_log(log.path, truth, entries, map_, common | metadata)
+        write_log(log.path, self.folder.begun, truth, entries, map_, common | metadata)
 
     def _metadata(self) -> dict[str, str]:
         """What all logs tell: of the dataset, of the code, and where the point clouds are."""
         bag = self.folder.fragments
         if not bag.exists():
-            begun = self.folder.work / bag.name
-            begun.parent.mkdir(parents=True, exist_ok=True)
+            begun = self.folder.begun / bag.name
             shutil.rmtree(begun, ignore_errors=True)
             export_fragments(begun, self.dataset)
             begun.rename(bag)
@@ -288,7 +287,7 @@ class _Writer:
         }
 
     def _timing(self, method: str) -> Timing:
-        wanted = self.plan.pairs()
+        wanted = self.plan.pairs
         results = [self.journal.of(method)[pair].result for pair in wanted]
         prepare = list(self.journal.prepare_seconds.get(method, {}).values())
         seconds = [result.compute_time for result in results]

@@ -27,6 +27,7 @@ _MAP_FRAME = "map"
 
 def write_log(
     path: Path,
+    begun: Path,
     ground_truth: Sequence[PoseGraph],
     entries: Sequence[Entry],
     map_: PoseGraph | None,
@@ -36,6 +37,7 @@ def write_log(
 
     Args:
         path: folder to create.
+        begun: folder on the same disk where it is made.
         ground_truth: one graph per area.
         entries: one answer to each pair, in the order of the pairs.
         map_: of all areas; None: pairs only.
@@ -44,12 +46,13 @@ def write_log(
     Raises:
         BagError: the folder cannot be written.
     """
-    begun = path.parent / ".begun" / path.name
-    shutil.rmtree(begun, ignore_errors=True)  # of a session that was killed
-    with BagWriter(begun) as writer:
+    made = begun / path.name
+    shutil.rmtree(made, ignore_errors=True)  # of a session that was killed
+    with BagWriter(made) as writer:
         writer.add_metadata(metadata)
         _write(writer, ground_truth, entries, map_)
-    begun.rename(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    made.rename(path)
 
 
 def _write(

@@ -27,7 +27,7 @@ from nss_ros.cli.table_format import FormatOption, TableFormat, print_tables
 from nss_ros.config import load_config
 from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.errors import RunError
-from nss_ros.parallel import Engine
+from nss_ros.parallel import Engine, run
 from nss_ros.table import Align, Column, Table
 
 
@@ -71,7 +71,7 @@ def benchmark(
 ) -> None:
     """Run registration methods over a dataset's pairs, and multi-way methods over the results.
 
-    Writes logs that 'nss score', 'nss compare' and 'nss export' read like those of 'nss map', and
+    Writes logs that 'nss score', 'nss compare' and 'nss report' read like those of 'nss map', and
     prints their tables. The same command goes on after an interruption; further methods, splits
     and synchronizers may be added to the same folder. The same pair has the same answer here and
     in the ROS graph.
@@ -101,8 +101,8 @@ def benchmark(
 
         result = run_benchmark(folder, output, choice, settings, force, report)
         scores = []
-        for log in result.logs:
-            scores.append(_score(log))
+        for score in run(_score, result.logs, force.here):
+            scores.append(score)
             report("scores", len(scores), len(result.logs))
     seconds = time.monotonic() - begin
     if json:

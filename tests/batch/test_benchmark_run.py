@@ -188,6 +188,21 @@ def test_a_pair_that_kills_its_workers_is_given_up(dataset, tmp_path, workers):
     assert result.timings[0].failed == sum(not each.ok for each in results.values())
 
 
+def test_logs_appear_whole_or_not_at_all(dataset, tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("nss_ros.batch.run_log._write", full)
+        with pytest.raises(OSError, match="No space left"):
+            go(dataset, tmp_path / "results")
+    assert not list((tmp_path / "results").glob("logs/*"))
+    (log,) = go(dataset, tmp_path / "results").logs
+    assert not read_log(log.path).partial
+    names = {path.name for path in (tmp_path / "results").iterdir()}
+    assert names == {".lock", "benchmark.json", "fragments", "journal", "logs"}
+
+
 def test_a_synchronizer_that_fails_costs_its_own_map_only(dataset, tmp_path):
     result = go(dataset, tmp_path / "results", synchronizers=("broken", "choi"))
     assert [log.synchronizer for log in result.logs] == ["choi"]
