@@ -57,6 +57,14 @@ class Surface:
         array = np.asarray(points, dtype=np.float64)
         return cls(array, np.asarray(normals, dtype=np.float64), cKDTree(array), oriented)
 
+    @classmethod
+    def sample(
+        cls, points: NDArray[np.floating], normals: NDArray[np.floating], count: int
+    ) -> Surface:
+        """A surface of at most `count` of points (n, 3) with normals (n, 3), evenly taken."""
+        chosen = np.linspace(0, len(points) - 1, min(count, len(points))).astype(np.int64)
+        return cls.of(points[chosen], normals[chosen])
+
 
 @dataclass(frozen=True, slots=True)
 class Refined:

@@ -22,14 +22,12 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from nss_ros.errors import InputError, WorkerDiedError
-from nss_ros.network import knock
-from nss_ros.worker_process import end_with, stop_now, worker_pool
+from nss_ros.listening import knock
+from nss_ros.worker_process import ONE_THREAD, end_with, stop_now, worker_pool
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# With more threads than cores numpy is slower, and its sums depend on the number of threads.
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # Calls that are handed out at a time for each worker: one runs, one is in reach. With more than
 # fit joblib's queue, its thread stumbles over the rest when the caller is interrupted.
 _IN_REACH = 2
@@ -216,8 +214,8 @@ def _death() -> WorkerDiedError:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ |= dict.fromkeys(_ONE_THREAD, "1")  # read by the workers when they start
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ |= dict.fromkeys(ONE_THREAD, "1")  # read by the workers when they start
     try:
         yield
     finally:

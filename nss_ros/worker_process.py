@@ -12,7 +12,8 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 _WATCH_PERIOD = 0.5
-_THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# With more threads than cores numpy is slower, and its sums depend on the number of threads.
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class _Process(SpawnProcess):
@@ -45,7 +46,7 @@ def worker_pool(
         initializer: called in each process with the arguments.
         arguments: picklable.
     """
-    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     return ProcessPoolExecutor(
         workers,
         mp_context=_Context(),

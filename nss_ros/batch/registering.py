@@ -7,6 +7,7 @@ same answer here and there.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -144,7 +145,7 @@ def _prepare(
 
     # What kills its process here is tried again with each of its pairs, and reported there.
     for answer in _answers(tasks(), force):
-        if answer.seconds == answer.seconds:
+        if not math.isnan(answer.seconds):
             journal.add_preparation(config.method, answer.task.fragment, answer.seconds)
         count += 1
         report("fragments", count, len(ids))

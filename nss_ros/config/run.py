@@ -65,6 +65,9 @@ class FpfhConfig(Section):
 class GravityConfig(Section):
     """Exhaustive search of levelled fragments."""
 
+    weights: str = Field(
+        "", description="File of trained weights; empty: those that come with the package"
+    )
     hypotheses: int = Field(
         24, gt=0, le=200, description="Poses of the search that are tried; more are slower"
     )

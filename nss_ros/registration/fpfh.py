@@ -79,8 +79,9 @@ class _Fpfh:
         still = Surface.of(target.points, target.normals)
         views = _Views.of(source, target) if level else None
         candidates = _shortlist(matches, candidates, views, config.fpfh.inlier_distance)
-        best = self._best(_thinned(source, _TRIAL_POINTS), still, matches, candidates, views)
-        moving = _thinned(source, config.icp.max_points)
+        trial = Surface.sample(source.points, source.normals, _TRIAL_POINTS)
+        best = self._best(trial, still, matches, candidates, views)
+        moving = Surface.sample(source.points, source.normals, config.icp.max_points)
         refined = refine(moving, still, best, config.icp.max_distance, config.icp.iterations)
         found = support(moving, still, refined.T_target_source, config)
         reason, message = verdict(found, refined.T_target_source, level, config)
@@ -209,7 +210,8 @@ class _Views:
 
 
 def _view(features: FpfhFeatures) -> View:
-    return View(_thinned(features, _VIEW_POINTS).points, RangeImage.of(features.points))
+    seen = Surface.sample(features.points, features.normals, _VIEW_POINTS)
+    return View(seen.points, RangeImage.of(features.points))
 
 
 def _shortlist(
@@ -235,10 +237,3 @@ def _matches(source: FpfhFeatures, target: FpfhFeatures) -> Matches:
         source.keypoint_normals[first].astype(np.float64),
         target.keypoint_normals[second].astype(np.float64),
     )
-
-
-def _thinned(features: FpfhFeatures, count: int) -> Surface:
-    """At most `count` of a fragment's points, evenly taken."""
-    size = len(features.points)
-    chosen = np.linspace(0, size - 1, min(count, size)).astype(np.int64)
-    return Surface.of(features.points[chosen], features.normals[chosen])

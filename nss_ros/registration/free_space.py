@@ -51,17 +51,20 @@ class RangeImage:
 
     def empty(self, points: Array) -> NDArray[np.bool_]:
         """Whether each of points (..., 3) was seen to be empty, (...)."""
-        rows, columns, distances = _directions(points)
-        nearest = self.nearest[rows, columns]
-        return np.asarray(np.isfinite(nearest) & (distances < nearest - _MARGIN))
+        return self._emptiness(*_directions(points))
 
     def compare(self, points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """How many of points (..., n, 3) lie in free space, and how many on a surface, (...)."""
         rows, columns, distances = _directions(points)
-        nearest = self.nearest[rows, columns]
-        free = np.isfinite(nearest) & (distances < nearest - _MARGIN)
+        free = self._emptiness(rows, columns, distances)
         behind = distances > self.farthest[rows, columns] + _MARGIN
         return np.count_nonzero(free, axis=-1), np.count_nonzero(~free & ~behind, axis=-1)
+
+    def _emptiness(
+        self, rows: NDArray[np.intp], columns: NDArray[np.intp], distances: Array
+    ) -> NDArray[np.bool_]:
+        nearest = self.nearest[rows, columns]
+        return np.asarray(np.isfinite(nearest) & (distances < nearest - _MARGIN))
 
 
 @dataclass(frozen=True, slots=True)

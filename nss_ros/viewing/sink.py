@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from nss_ros.errors import FormatError, InputError
-from nss_ros.network import knock
+from nss_ros.listening import knock
 
 _APPLICATION = "nss_ros"
 

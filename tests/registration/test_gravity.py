@@ -106,7 +106,7 @@ def test_fragments_that_are_not_levelled_use_six_degrees_of_freedom(method, scan
 def test_weights_that_are_none_are_an_error(tmp_path):
     path = tmp_path / "weights.safetensors"
     with pytest.raises(MethodError, match="weights"):
-        load_weights(path)
+        load_weights(str(path))
     path.write_bytes(b"nothing")
     with pytest.raises(MethodError, match="weights"):
-        load_weights(path)
+        load_method(RegistrationConfig(method="gravity", gravity={"weights": str(path)}))

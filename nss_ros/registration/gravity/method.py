@@ -19,12 +19,12 @@ from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import Transform, relative, rotation_angle
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
+from nss_ros.registration.gravity.agreement import agreement
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.refinement import Candidate, Shape, aligned, tried
 from nss_ros.registration.gravity.scan import LevelScan, scan_of
 from nss_ros.registration.gravity.search import Search, search
 from nss_ros.registration.gravity.verifier import judge
-from nss_ros.registration.gravity.view import agreement
 from nss_ros.registration.gravity.weights import Networks, load_weights
 from nss_ros.registration.relative_transform import (
     Hypothesis,
@@ -70,7 +70,7 @@ class Gravity:
         torch.set_num_threads(1)
         self.config = config
         self._generic = FpfhRansac(config)
-        self._network, self._verifier = networks or load_weights()
+        self._network, self._verifier = networks or load_weights(config.gravity.weights)
 
     def prepare(self, fragment: Fragment) -> GravityFeatures:
         """Points, maps and features of a fragment."""

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from nss_ros.config import RegistrationConfig
-from nss_ros.geometry import Transform, from_yaw, relative, rotation_angle, tilt_angle
-from nss_ros.icp import Refined, Surface, refine
+from nss_ros.geometry import Transform, from_yaw, inverse, relative, rotation_angle, tilt_angle
+from nss_ros.icp import Refined, Surface, moved_by, refine
+from nss_ros.registration.gravity.agreement import WallView, agreement
+from nss_ros.registration.gravity.raster import Floor
 from nss_ros.registration.gravity.scan import LevelScan
 from nss_ros.registration.gravity.search import Peak, Search
-from nss_ros.registration.gravity.view import WallView, agreement
 from nss_ros.registration.validation import Support, support
 
 # Point-to-plane distance at which a surface counts a quarter, metres: what changed must not pull.
@@ -57,7 +58,7 @@ class Shape:
     """What alignment needs of a levelled fragment.
 
     Attributes:
-        scan: points, normals and floor.
+        floor: where its floor is.
         surface: all points.
         thin: some of the points.
         moderate: more of the points.
@@ -66,7 +67,7 @@ class Shape:
         view: what its scanner saw.
     """
 
-    scan: LevelScan
+    floor: Floor
     surface: Surface
     thin: Surface
     moderate: Surface
@@ -86,10 +87,10 @@ class Shape:
         )
         levels = np.hstack(columns).astype(np.float64)
         return cls(
-            scan,
+            scan.floor,
             Surface.of(scan.points, normals),
-            _thinned(scan, _TRIAL_POINTS),
-            _thinned(scan, config.icp.max_points),
+            Surface.sample(scan.points, normals, _TRIAL_POINTS),
+            Surface.sample(scan.points, normals, config.icp.max_points),
             levels,
             cKDTree(levels),
             WallView.of(scan.points, normals),
@@ -171,7 +172,7 @@ def aligned(
         rotation_angle(difference),
         tilt_angle(transform),
         float(np.log(max(stiffness, 1e-3))),
-        min(source.scan.floor.share, target.scan.floor.share),
+        min(source.floor.share, target.floor.share),
     )
     return Candidate(refined, forth, np.array(signs))
 
@@ -186,8 +187,7 @@ def _is_near(transform: Transform, start: Transform) -> bool:
 
 def _inlier_share(source: Shape, target: Shape, transform: Transform, tau: float) -> float:
     """Share of the target's points near one of the source's."""
-    inverse = np.linalg.inv(transform)
-    moved = target.thin.points @ inverse[:3, :3].T + inverse[:3, 3]
+    moved = moved_by(inverse(transform), target.thin.points)
     distances, _ = source.surface.tree.query(moved, distance_upper_bound=tau)
     return float(np.isfinite(distances).mean())
 
@@ -197,7 +197,7 @@ def _height(source: Shape, target: Shape, T_target_source: Transform) -> float:
 
     Floors rise between stages (screed, raised floors), and ceilings come down.
     """
-    floors = target.scan.floor.height - source.scan.floor.height
+    floors = target.floor.height - source.floor.height
     step = max(len(source.levels) // _HEIGHT_POINTS, 1)
     moving = source.levels[::step]
     if len(moving) == 0 or len(target.levels) == 0:
@@ -223,9 +223,3 @@ def _height(source: Shape, target: Shape, T_target_source: Transform) -> float:
     centre = edges[int(np.argmax(counts))] + _HEIGHT_BIN / 2
     near = np.abs(differences - centre) < _HEIGHT_BIN
     return floors + float(np.median(differences[near])) if near.any() else floors
-
-
-def _thinned(scan: LevelScan, count: int) -> Surface:
-    size = len(scan.points)
-    chosen = np.linspace(0, size - 1, min(count, size)).astype(np.int64)
-    return Surface.of(scan.points[chosen], scan.normals[chosen])

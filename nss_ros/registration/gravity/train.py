@@ -9,14 +9,16 @@ must be as good and as bad as those of sites that the network has not seen.
 from __future__ import annotations
 
 import argparse
+import sys
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import torch
-from rich.progress import Progress
 
+from nss_ros.cli.progress import progress_bar
 from nss_ros.config import RegistrationConfig
+from nss_ros.errors import NssError
 from nss_ros.registration.gravity.method import Gravity, GravityFeatures
 from nss_ros.registration.gravity.network import GravityNetwork
 from nss_ros.registration.gravity.training import TrainingConfig, train
@@ -42,16 +44,28 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=2000)
     parser.add_argument("--verifier-pairs", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=0, help="processes that read; 0: all cores")
+    parser.add_argument(
+        "--threads", type=int, default=1, help="more are faster and give other last digits"
+    )
     arguments = parser.parse_args()
     if len(arguments.datasets) < 2:
         parser.error("at least two datasets are needed: the last one trains the verifier")
+    try:
+        fit(arguments)
+    except NssError as error:
+        sys.exit(f"error: {error}")
 
+
+def fit(arguments: argparse.Namespace) -> None:
+    """Train as asked for."""
     config = RegistrationConfig(method="gravity", seed=arguments.seed)
     *folders, last = arguments.datasets
+    torch.set_num_threads(arguments.threads)
+    torch.manual_seed(arguments.seed)
     network, verifier = GravityNetwork(), Verifier()
     items = read_items(folders, config, arguments.workers)
-    with Progress() as bar:
+    with progress_bar() as bar:
         task = bar.add_task("network", total=arguments.steps)
         settings = TrainingConfig(steps=arguments.steps, seed=arguments.seed)
         for step, loss, hits in train(network, items, settings):
@@ -74,7 +88,6 @@ def collect(method: Gravity, items: list[Item], count: int, seed: int) -> list[C
     def features(number: int) -> GravityFeatures:
         return method.prepare_scan(items[number].scan)
 
-    torch.set_num_threads(1)
     rng = np.random.default_rng(seed)
     examples = ExampleSource(items, seed)
     cases = []

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.dataset.folder import DatasetFolder
+from nss_ros.errors import InputError
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, relative, transform_points
 from nss_ros.parallel import run
@@ -23,6 +24,7 @@ from nss_ros.registration.gravity.scan import LevelScan, scan_of
 
 _OVERLAP_POINTS = 1000
 _MOST_DISTANCE = 7.0
+_MOST_ATTEMPTS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +101,12 @@ class ExampleSource:
         self._near = [self._neighbours(number) for number in range(len(items))]
 
     def draw(self) -> Example:
-        """One pair; overlap ratios from the least to the largest are about equally likely."""
-        while True:
+        """One pair of those near each other that overlap; small overlaps are the most common.
+
+        Raises:
+            InputError: there is hardly any.
+        """
+        for _ in range(_MOST_ATTEMPTS):
             source = int(self._rng.integers(len(self.items)))
             same_stage = bool(self._rng.random() >= self._different_share)
             near = self._near[source][int(same_stage)]
@@ -111,10 +117,18 @@ class ExampleSource:
             if ratio < self._min_overlap:
                 continue
             return Example(source, target, same_stage, ratio)
+        raise InputError(
+            "The training datasets hold too few fragments that overlap within a stage and across "
+            "stages: simulate more spots, or more stages."
+        )
 
     def draw_apart(self) -> Example:
-        """A pair of fragments that do not overlap; every other one is of one area."""
-        while True:
+        """A pair of fragments that do not overlap, of one area or of two.
+
+        Raises:
+            InputError: there is hardly any.
+        """
+        for _ in range(_MOST_ATTEMPTS):
             first, second = (int(each) for each in self._rng.integers(len(self.items), size=2))
             a, b = self.items[first], self.items[second]
             together = a.dataset == b.dataset and a.scan.id.area == b.scan.id.area
@@ -122,6 +136,9 @@ class ExampleSource:
                 continue
             same_stage = together and a.scan.id.stage == b.scan.id.stage
             return Example(first, second, same_stage, 0.0)
+        raise InputError(
+            "The training datasets hold too few fragments that do not overlap: simulate more areas."
+        )
 
     def _neighbours(self, source: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Indices of items near one, of different stages and of its stage."""

@@ -16,17 +16,18 @@ from nss_ros.registration.gravity.verifier import Verifier
 
 Networks = tuple[GravityNetwork, Verifier]
 
+_FILE = "gravity.safetensors"
 _NETWORK, _VERIFIER = "network.", "verifier."
 
 
 @cache
-def load_weights(path: Path | None = None) -> Networks:
-    """The trained networks, from a file or as they come with the package.
+def load_weights(path: str = "") -> Networks:
+    """The trained networks, from a file or, without one, as they come with the package.
 
     Raises:
         MethodError: there is no such file, or it is not of this method.
     """
-    source = path or files("nss_ros.registration.gravity") / "gravity.safetensors"
+    source = Path(path) if path else files("nss_ros.registration.gravity") / _FILE
     try:
         tensors = load(source.read_bytes())
         network, verifier = GravityNetwork(), Verifier()

@@ -1,0 +1,69 @@
+"""The training command, from datasets to weights that register."""
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from nss_ros.cli.main import app
+from nss_ros.config import RegistrationConfig
+from nss_ros.dataset.folder import DatasetFolder
+from nss_ros.errors import InputError
+from nss_ros.registration.gravity.train import main
+from nss_ros.registration.gravity.training_data import ExampleSource, read_items
+from nss_ros.registration.method import load_method
+
+_SITE = """
+areas:
+  "1": {procedural: {width: 14, depth: 11, stages: 2}}
+  "2": {procedural: {width: 14, depth: 11, stages: 2, use: residential}}
+"""
+
+
+@pytest.fixture(scope="module")
+def datasets(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("training")
+    (folder / "site.yaml").write_text(_SITE)
+    for seed in (1, 2):
+        command = ["simulate", str(folder / "site.yaml"), "-o", str(folder / f"{seed}")]
+        options = ["--seed", str(seed), "--spots-per-stage", "3", "--no-labels", "--workers", "1"]
+        result = CliRunner().invoke(app, command + options)
+        assert result.exit_code == 0, result.output
+    return [folder / "1", folder / "2"]
+
+
+def train(monkeypatch, *arguments):
+    monkeypatch.setattr(sys, "argv", ["train", *map(str, arguments)])
+    main()
+
+
+def test_training_gives_weights_that_are_reproducible_and_usable(monkeypatch, tmp_path, datasets):
+    files = [tmp_path / "one.safetensors", tmp_path / "other.safetensors"]
+    for file in files:
+        options = ("--steps", 2, "--verifier-pairs", 4, "--workers", 1)
+        train(monkeypatch, *datasets, "-o", file, *options)
+    assert files[0].read_bytes() == files[1].read_bytes()
+    config = RegistrationConfig(method="gravity", gravity={"weights": str(files[0])})
+    method, dataset = load_method(config), DatasetFolder(datasets[1])
+    source, target = (method.prepare(dataset.fragment(i)) for i in dataset.fragment_ids()[:2])
+    assert method.register(source, target, 0).ok
+
+
+def test_datasets_without_fragments_that_overlap_not_are_told(datasets):
+    items = read_items(datasets[:1], RegistrationConfig(), 1)[:2]
+    together = [replace(item, T_map_fragment=np.eye(4)) for item in items]
+    with pytest.raises(InputError, match="do not overlap"):
+        ExampleSource(together, 0).draw_apart()
+
+
+def test_one_dataset_is_not_enough(monkeypatch, tmp_path, datasets, capsys):
+    with pytest.raises(SystemExit):
+        train(monkeypatch, datasets[0], "-o", tmp_path / "weights.safetensors")
+    assert "two datasets" in capsys.readouterr().err
+
+
+def test_a_folder_that_is_no_dataset_is_one_sentence(monkeypatch, tmp_path, datasets):
+    with pytest.raises(SystemExit, match="error: "):
+        train(monkeypatch, tmp_path, datasets[0], "-o", tmp_path / "weights.safetensors")
