@@ -1,22 +1,18 @@
-"""Colours of maps and graphs, red green blue of 0..1, the same in every viewer."""
+"""Colours of maps and graphs, in viewers, figures and the report."""
 
 from __future__ import annotations
 
 Color = tuple[float, float, float]
+"""Red, green and blue, 0..1."""
 
-# Colour-blind safe (Okabe and Ito), one per stage in turn.
-_STAGES: tuple[Color, ...] = (
-    (0.00, 0.45, 0.70),
-    (0.90, 0.62, 0.00),
-    (0.00, 0.62, 0.45),
-    (0.80, 0.47, 0.65),
-    (0.34, 0.71, 0.91),
-    (0.84, 0.37, 0.00),
-)
+# Colour-blind safe (Okabe and Ito 2008), ordered so that neighbours differ in lightness too.
+STAGE_COLORS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 ACCEPTED: Color = (0.2, 0.7, 0.2)
 REJECTED: Color = (0.8, 0.1, 0.1)
 
 
 def stage_color(stage: int) -> Color:
-    """The colour of a stage; stages that are six apart share one."""
-    return _STAGES[stage % len(_STAGES)]
+    """The colour of a stage in viewers; stages that are six apart share one."""
+    text = STAGE_COLORS[stage % len(STAGE_COLORS)]
+    red, green, blue = (int(text[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return red, green, blue

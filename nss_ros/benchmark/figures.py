@@ -25,7 +25,7 @@ from nss_ros.benchmark.metrics import MAX_RRE, MAX_RTE, MAX_RTE_CHALLENGE, Float
 from nss_ros.benchmark.run import Run
 from nss_ros.benchmark.score import BIN_WIDTH, BinScore, LogScore
 from nss_ros.benchmark.timing_chart import timing_chart
-from nss_ros.dataset.figures import STAGE_COLOURS
+from nss_ros.colors import STAGE_COLORS
 
 COLOURS = {"all": "#333333", "same_stage": "#0072B2", "different_stage": "#D55E00"}
 """Of kinds of pairs, in every chart."""
@@ -314,7 +314,7 @@ def rmse_by_graph_size(scores: Sequence[LogScore]) -> Chart | None:
                     score.log.rstrip("/").rsplit("/", 1)[-1] if len(scores) > 1 else "",
                     np.array([float(each.fragments) for _, each in maps]),
                     np.array([max(each.global_rmse, 1e-6) for _, each in maps]),
-                    STAGE_COLOURS[number % len(STAGE_COLOURS)],
+                    STAGE_COLORS[number % len(STAGE_COLORS)],
                     Mark.POINTS,
                     tuple(
                         f"{name}<br>{each.fragments:,} fragments, {each.coverage:.0f} % covered"

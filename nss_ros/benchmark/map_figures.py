@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from nss_ros.benchmark.chart import MAX_POINTS, Axis, Chart, Mark, Panel, Series, spread
 from nss_ros.benchmark.map_view import MapView
 from nss_ros.benchmark.metrics import MAX_RTE, Floats
-from nss_ros.dataset.figures import STAGE_COLOURS, STYLE
+from nss_ros.colors import STAGE_COLORS
+from nss_ros.dataset.figures import STYLE
 from nss_ros.fragment import FragmentPair, Points
 from nss_ros.multiway.pose_graph import EdgeStatus, PoseGraph
 
@@ -42,7 +43,7 @@ Inks = Mapping[str, Points]
 
 def stage_colour(stages: Sequence[int], stage: int) -> str:
     """The colour of a stage, the same in all figures of a run."""
-    return STAGE_COLOURS[sorted(stages).index(stage) % len(STAGE_COLOURS)]
+    return STAGE_COLORS[sorted(stages).index(stage) % len(STAGE_COLORS)]
 
 
 def map_figure(view: MapView) -> Figure:

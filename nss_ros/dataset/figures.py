@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from nss_ros.colors import STAGE_COLORS
 from nss_ros.errors import InputError
 from nss_ros.files import write_file
 from nss_ros.fragment import FragmentId
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Colour-blind safe (Okabe and Ito 2008), ordered so that neighbours differ in lightness too.
-STAGE_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 _SAME, _DIFFERENT = "#0072B2", "#D55E00"
 
 _BINS = 20
@@ -339,7 +338,7 @@ def _oblique(places: Array, height: float) -> Array:
 
 
 def _colour(number: int) -> str:
-    return STAGE_COLOURS[number % len(STAGE_COLOURS)]
+    return STAGE_COLORS[number % len(STAGE_COLORS)]
 
 
 def _graph_title(graph: PoseGraph) -> str:

@@ -28,7 +28,7 @@ from nss_ros.benchmark.map_view import chained_view, map_view, map_views, thinne
 from nss_ros.benchmark.run import measured_run
 from nss_ros.benchmark.run_timing import RunTiming
 from nss_ros.benchmark.timing_chart import timing_chart
-from nss_ros.dataset.figures import STAGE_COLOURS
+from nss_ros.colors import STAGE_COLORS
 from nss_ros.fragment import voxelize
 from nss_ros.geometry import exponential, from_yaw
 from nss_ros.multiway.pose_graph import EdgeStatus, PoseGraph
@@ -294,7 +294,7 @@ def test_pictures_of_the_map_have_axes_in_metres(make_run):
 
 
 def test_stages_keep_their_colours():
-    assert stage_colour([2, 5], 5) == stage_colour([5, 2], 5) == STAGE_COLOURS[1]
+    assert stage_colour([2, 5], 5) == stage_colour([5, 2], 5) == STAGE_COLORS[1]
 
 
 def test_inks_mix_and_hide_nothing():
