@@ -49,7 +49,7 @@ class BagReader:
 
     Attributes:
         path: folder, or a single `.mcap` file.
-        partial: after `messages` ran to its end, whether a file was truncated or never closed.
+        partial: after `messages` ran to its end, whether a file is truncated or damaged, or was never closed.
         metadata: after `messages` ran to its end, the values stored with `add_metadata`.
     """
 
@@ -72,7 +72,10 @@ class BagReader:
         complete = False
         for record in self._records(file):
             if isinstance(record, Message):
-                channel = channels[record.channel_id]
+                channel = channels.get(record.channel_id)
+                if channel is None:  # its announcement was lost
+                    self.partial = True
+                    continue
                 schema = schemas.get(channel.schema_id)
                 if schema is None or channel.message_encoding != "cdr":
                     continue

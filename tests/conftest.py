@@ -1,5 +1,6 @@
 """What several tests need."""
 
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGr
 
 settings.register_profile("default", deadline=None, max_examples=50)
 settings.load_profile("default")
+
+# A shell's background job ignores Ctrl-C, and the processes of the tests would inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _SHARED = Path(__file__).parents[2] / "shared" / "data"
 

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from nss_ros import topics
 from nss_ros.bag import read_log, with_source_points, write_bag
-from nss_ros.bag_reader import bag_digest
+from nss_ros.bag_reader import BagReader, bag_digest
 from nss_ros.bag_writer import BagWriter
 from nss_ros.errors import BagError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
@@ -193,3 +194,19 @@ def test_a_log_without_points_gets_those_of_its_bag_if_unchanged(tmp_path, room)
     with (tmp_path / "bag/bag.mcap").open("ab") as file:
         file.write(b"more")
     assert not with_source_points(log).fragments
+
+
+def test_messages_of_a_topic_that_was_never_announced_are_left_out(tmp_path):
+    path = tmp_path / "damaged.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        known = writer.register_channel("/known", "cdr", schema)
+        writer.add_message(known, 1, b"first", 1)
+        writer.add_message(known + 1, 2, b"lost", 2)
+        writer.add_message(known, 3, b"last", 3)
+        writer.finish()
+    reader = BagReader(path)
+    assert [message.data for message in reader.messages()] == [b"first", b"last"]
+    assert reader.partial

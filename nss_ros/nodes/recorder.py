@@ -64,12 +64,14 @@ class Recorder(Node):
         self._messages: SimpleQueue[tuple[str, int, bytes]] = SimpleQueue()
         self._bags: set[str] = set()
         self._count = self._bytes = 0
-        self._topics: set[str] = set()
+        self._topics: dict[str, Topic] = {}
         wanted = [*_ALWAYS, *(_MAPS if self._config.record_maps else ())]
         if self._config.record_fragments:
             wanted.append(topics.FRAGMENTS)
         for topic in wanted:
             self._subscribe(topic)
+        for name, topic in self._topics.items():
+            self._writer.add_topic(name, topic)
         if self._config.record_maps:
             self.create_timer(_STAGE_MAP_PERIOD, self._find_stage_maps)
         publish_diagnostics(self, self._health)
@@ -92,8 +94,7 @@ class Recorder(Node):
         package, _, name = topic.type.split("/")
         message_type = getattr(import_module(f"{package}.msg"), name)
         resolved = self.resolve_topic_name(topic.name)
-        self._topics.add(resolved)
-        self._writer.add_topic(resolved, topic)
+        self._topics[resolved] = topic
 
         def record(data: bytes) -> None:
             self._messages.put((resolved, time.time_ns(), data))
@@ -139,6 +140,8 @@ class Recorder(Node):
             if not name:
                 self._writer.add_metadata(_bag_metadata(data.decode(), stamp))
                 continue
+            # Announced here, for those found on the way: two threads at the writer lose records.
+            self._writer.add_topic(name, self._topics[name])
             self._writer.write(name, stamp, data)
             self._count += 1
             self._bytes += len(data)
