@@ -49,7 +49,8 @@ class BagReader:
 
     Attributes:
         path: folder, or a single `.mcap` file.
-        partial: after `messages` ran to its end, whether a file is truncated or damaged, or was never closed.
+        partial: after `messages` ran to its end, whether a file is truncated or damaged, or was
+            never closed.
         metadata: after `messages` ran to its end, the values stored with `add_metadata`.
     """
 
