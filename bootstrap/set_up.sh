@@ -7,7 +7,7 @@ venv=$root/.venv
 state=$root/.nss
 system=$state/system # libraries and headers of the distribution that this machine lacks
 log=$state/setup.log
-disk_space_mb=5200 # .venv takes 3.3 GB, the downloads and the copy that pip keeps of them 1.7 GB
+disk_space_mb=5200 # .venv takes 3.5 GB, the downloads and the copy that pip keeps of them 1.7 GB
 
 say() { printf 'nss: [%3d s] %s\n' "$SECONDS" "$1" >&2; }
 
