@@ -69,9 +69,8 @@ class Recorder(Node):
         if self._config.record_fragments:
             wanted.append(topics.FRAGMENTS)
         for topic in wanted:
+            self._writer.add_topic(self.resolve_topic_name(topic.name), topic)
             self._subscribe(topic)
-        for name, topic in self._topics.items():
-            self._writer.add_topic(name, topic)
         if self._config.record_maps:
             self.create_timer(_STAGE_MAP_PERIOD, self._find_stage_maps)
         publish_diagnostics(self, self._health)
