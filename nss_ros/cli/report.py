@@ -9,15 +9,18 @@ import typer
 from rich.console import Console
 
 from nss_ros.benchmark.bootstrap import Bootstrap
-from nss_ros.benchmark.figure_files import figures_of
 from nss_ros.benchmark.report import report as html_report
 from nss_ros.benchmark.run import read_run
 from nss_ros.cli.bootstrap_options import ByFragmentOption, ResamplingsOption, SeedOption
-from nss_ros.dataset.figures import write_figure
+from nss_ros.cli.figure_options import (
+    EndingOption,
+    FiguresOption,
+    WorstOption,
+    check_ending,
+    write_figures,
+)
 from nss_ros.errors import InputError
 from nss_ros.files import write_file
-
-_ENDINGS = ("png", "svg", "pdf")
 
 
 def report(
@@ -27,13 +30,9 @@ def report(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="HTML file to write.")
     ] = Path("report.html"),
-    worst: Annotated[
-        int, typer.Option(min=0, help="Wrong pairs of each log that are shown as pictures.")
-    ] = 8,
-    figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Also write each figure as a file in here.")
-    ] = None,
-    ending: Annotated[str, typer.Option(help="Format of these files: png, svg or pdf.")] = "png",
+    worst: WorstOption = 8,
+    figures: FiguresOption = None,
+    ending: EndingOption = "png",
     resamplings: ResamplingsOption = 1000,
     seed: SeedOption = 0,
     by_fragment: ByFragmentOption = False,
@@ -44,8 +43,7 @@ def report(
     accuracy, graph and timing, the map in 3-D by stage, the worst pairs as pictures, and pairs by
     their ids. What a log lacks (ground truth, point clouds, a map) is left out, and said.
     """
-    if ending not in _ENDINGS:
-        raise InputError(f"A figure cannot be '{ending}': choose one of {', '.join(_ENDINGS)}.")
+    check_ending(ending)
     if output.is_dir():
         raise InputError(f"{output} is a folder: name the HTML file to write, with --output.")
     if not output.parent.is_dir():
@@ -55,9 +53,6 @@ def report(
     write_file(output, html_report(runs, worst).encode())
     written = [output]
     if figures is not None:
-        figures.mkdir(parents=True, exist_ok=True)
-        for name, figure in figures_of(runs, worst):
-            written.append(figures / f"{name}.{ending}")
-            write_figure(written[-1], figure)
+        written += write_figures(runs, worst, figures, ending)
     for path in written:
         Console(stderr=True).print(f"Wrote {path}", soft_wrap=True, highlight=False)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
 
 from nss_ros.bag import read_log, with_source_points
 from nss_ros.benchmark.bootstrap import Bootstrap
@@ -17,6 +18,7 @@ from nss_ros.benchmark.evaluation import evaluate, joined
 from nss_ros.benchmark.gate import COUNTS, parse_gate
 from nss_ros.benchmark.headline import FIGURES
 from nss_ros.benchmark.metrics import MAX_RRE, MAX_RTE_CHALLENGE
+from nss_ros.benchmark.run import read_run
 from nss_ros.benchmark.score import LogScore, summarize
 from nss_ros.benchmark.table import (
     OFFICIAL_NAMES,
@@ -26,6 +28,13 @@ from nss_ros.benchmark.table import (
     run_tables,
 )
 from nss_ros.cli.bootstrap_options import ByFragmentOption, ResamplingsOption, SeedOption
+from nss_ros.cli.figure_options import (
+    EndingOption,
+    FiguresOption,
+    WorstOption,
+    check_ending,
+    write_figures,
+)
 from nss_ros.cli.gates import FailIfOption, exit_on_failure
 from nss_ros.cli.output import print_json
 from nss_ros.cli.table_format import (
@@ -71,6 +80,9 @@ def score(
     resamplings: ResamplingsOption = 1000,
     seed: SeedOption = 0,
     by_fragment: ByFragmentOption = False,
+    figures: FiguresOption = None,
+    ending: EndingOption = "png",
+    worst: WorstOption = 8,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Score logs, or a challenge prediction with the challenge's official definitions.
@@ -82,21 +94,29 @@ def score(
 
     Exits with 3 if a gate of --fail-if holds for a log, with 1 on any error.
     """
+    check_ending(ending)
     if logs and target is None and prediction is None:
         if points is not None:
             raise InputError("--points belongs to --target and --prediction: a LOG has its own.")
         gates = [parse_gate(text, (*FIGURES, *COUNTS)) for text in fail_if]
-        scores = _scores(logs, together, Bootstrap(resamplings, seed, by_fragment=by_fragment))
+        bootstrap = Bootstrap(resamplings, seed, by_fragment=by_fragment)
+        scores = _scores(logs, together, bootstrap)
         if json:
             print_json(asdict(scores[0]) if len(scores) == 1 else {"logs": [*map(asdict, scores)]})
         else:
             _print_scores(scores, table, form)
+        if figures is not None:
+            runs = [read_run(log, bootstrap) for log in logs]
+            for path in write_figures(runs, worst, figures, ending):
+                Console(stderr=True).print(f"Wrote {path}", soft_wrap=True, highlight=False)
         exit_on_failure(gates, {each.log: _values(each) for each in scores})
         return
     if logs or target is None or prediction is None:
         raise InputError("Give either a LOG, or both --target and --prediction.")
-    if fail_if or together:
-        raise InputError("--fail-if and --together belong to logs, not to challenge files.")
+    if fail_if or together or figures is not None:
+        raise InputError(
+            "--fail-if, --together and --figures belong to logs, not to challenge files."
+        )
     official = score_challenge(
         read_graphs(target),
         read_graphs(prediction),

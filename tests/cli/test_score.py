@@ -46,6 +46,13 @@ def test_a_log_as_tables(room_bag, record):
         assert words in text
 
 
+def test_the_figures_of_a_log_as_files(room_bag, record, tmp_path):
+    figures = tmp_path / "figures"
+    text = run(record(room_bag), "--figures", figures, "--ending", "svg", "--worst", "0")
+    assert "Pairwise" in text
+    assert {"error_distributions.svg", "map_1.svg"} <= {path.name for path in figures.iterdir()}
+
+
 def test_unanswered_pairs_and_a_truncated_file_are_told(room_bag, record):
     log = record(room_bag, unanswered=4)
     assert "PARTIAL: 4 of 15 pairs have no answer" in run(log)
@@ -153,7 +160,7 @@ def test_gates_that_cannot_be_judged(room_bag, record):
         score([room_bag], fail_if=["recal < 0.9"])
     with pytest.raises(InputError, match="has no overlap_auroc"):
         score([record(room_bag)], fail_if=["overlap_auroc < 0.9"])
-    with pytest.raises(InputError, match="--fail-if and --together belong to logs"):
+    with pytest.raises(InputError, match="--fail-if, --together and --figures belong to logs"):
         score(None, room_bag, room_bag, fail_if=["recall_all < 0.9"])
 
 
