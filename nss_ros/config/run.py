@@ -69,10 +69,7 @@ class GravityConfig(Section):
         "", description="File of trained weights; empty: those that come with the package"
     )
     hypotheses: int = Field(
-        24, gt=0, le=200, description="Poses of the search that are tried; more are slower"
-    )
-    alignments: int = Field(
-        8, gt=0, le=100, description="Poses that are aligned exactly and judged"
+        24, gt=0, le=200, description="Poses that are aligned and judged; more are slower"
     )
 
 

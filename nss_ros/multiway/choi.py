@@ -26,6 +26,7 @@ from nss_ros.geometry import (
     tilt_angle,
 )
 from nss_ros.multiway.covariance import pose_covariances
+from nss_ros.multiway.hypotheses import chosen_hypotheses
 from nss_ros.multiway.pose_graph import (
     Edge,
     EdgeStatus,
@@ -65,7 +66,11 @@ class Choi:
     ) -> PoseGraph:
         """Poses of all fragments; see `Synchronizer.synchronize`."""
         ids = sorted(set(fragments))
-        edges = [_Judged(m) for m in sorted(measurements, key=_canonical)]
+        ordered = sorted(measurements, key=_canonical)
+        votes = self._votes()
+        if votes is not None:
+            ordered = chosen_hypotheses(ordered, votes)
+        edges = [_Judged(m) for m in ordered]
         self._reject_at_once(edges, set(ids))
         support = self._support([edge.measurement for edge in edges if edge.accepted])
         for edge, count in zip([e for e in edges if e.accepted], support, strict=True):

@@ -6,7 +6,7 @@ import numpy as np
 
 from nss_ros.errors import InputError
 from nss_ros.geometry import Matrix
-from nss_ros.multiway.pose_graph import Measurement
+from nss_ros.multiway.pose_graph import Alternative, Measurement
 from nss_ros.registration.relative_transform import RelativeTransform
 
 # Stands in for a covariance that a method did not compute: 0.05 m and 1 deg.
@@ -34,6 +34,10 @@ def measurement(result: RelativeTransform, level: bool) -> Measurement:
         confidence=result.confidence,
         inliers=result.inliers,
         level=level,
+        alternatives=tuple(
+            Alternative(each.T_target_source, information(each.covariance), each.probability)
+            for each in result.alternatives
+        ),
     )
 
 

@@ -36,6 +36,21 @@ class NodeStatus(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Alternative:
+    """A less probable relative transform of an ambiguous pair.
+
+    Attributes:
+        T_target_source: (4, 4).
+        information: (6, 6), as that of a measurement.
+        probability: 0..1, of being right.
+    """
+
+    T_target_source: Transform
+    information: Matrix
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
 class Measurement:
     """A relative transform as input of a multi-way method.
 
@@ -47,6 +62,7 @@ class Measurement:
         inliers: points that support it.
         level: both fragments are gravity aligned, so a right transform does not tilt.
         manual: given by a person; never rejected.
+        alternatives: further hypotheses, the most probable first.
     """
 
     pair: FragmentPair
@@ -56,6 +72,7 @@ class Measurement:
     inliers: int = 0
     level: bool = False
     manual: bool = False
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def kind(self) -> EdgeKind:

@@ -95,6 +95,7 @@ class _Growth:
             self._touching.setdefault(edge.pair.source, []).append(i)
             self._touching.setdefault(edge.pair.target, []).append(i)
         self._predictions: dict[FragmentId, list[tuple[int, Transform]]] = {}
+        self._counts: dict[FragmentId, list[int]] = {}
         self._best: list[tuple[tuple[object, ...], FragmentId, int]] = []
 
     def rank(self, i: int, votes: int = 0) -> tuple[object, ...]:
@@ -129,10 +130,13 @@ class _Growth:
             heappush(self._best, (self.rank(i), id_, i))
             return
         stack = np.array([p for _, p in predictions])
-        for j in np.flatnonzero(self._votes.agree(pose, stack)):
-            other, candidate = predictions[j]
-            count = int(np.count_nonzero(self._votes.agree(candidate, stack)))
-            heappush(self._best, (self.rank(other, count), id_, other))
+        agreeing = np.flatnonzero(self._votes.agree(pose, stack))
+        counts = self._counts.setdefault(id_, [])
+        counts.append(len(agreeing))
+        for j in agreeing:
+            counts[j] += int(j < len(predictions) - 1)
+            other, _ = predictions[j]
+            heappush(self._best, (self.rank(other, counts[j]), id_, other))
 
 
 def anchored(poses: Poses, anchor: FragmentId) -> Poses:

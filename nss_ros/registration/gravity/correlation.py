@@ -17,27 +17,34 @@ STEP = CELL * STRIDE
 SHIFTS = SIZE // STRIDE * 2
 
 
-def rotated(features: Tensor, yaws: Tensor) -> Tensor:
+def rotated(features: Tensor, yaws: Tensor, shifts: Tensor | None = None) -> Tensor:
     """Source features turned about the sensor, (k, c, h, w).
 
     Args:
         features: (c, h, w) float32, as a source.
         yaws: (k,) radians.
+        shifts: (k, 2), x and y by which they are moved then, metres; None: not at all.
     """
     cosines, sines = yaws.cos(), yaws.sin()
-    zero = torch.zeros_like(yaws)
-    # Cell x of the result is cell R(-yaw) x of the source.
+    x, y = torch.zeros(2, len(yaws)) if shifts is None else shifts.T / (STEP * SIZE / STRIDE / 2)
+    # Cell u of the result is cell R(-yaw) (u - shift) of the source.
     backward = torch.stack(
-        (torch.stack((cosines, sines, zero), -1), torch.stack((-sines, cosines, zero), -1)), 1
+        (
+            torch.stack((cosines, sines, -cosines * x - sines * y), -1),
+            torch.stack((-sines, cosines, sines * x - cosines * y), -1),
+        ),
+        1,
     )
     shape = (len(yaws), *features.shape)
     grid = torch.nn.functional.affine_grid(backward, list(shape), align_corners=False)
     turned = torch.nn.functional.grid_sample(
         features.expand(shape), grid, mode="bilinear", align_corners=False
     )
-    x, y = turned[:, VECTORS][:, 0::2], turned[:, VECTORS][:, 1::2]
+    along_x, along_y = turned[:, VECTORS][:, 0::2], turned[:, VECTORS][:, 1::2]
     c, s = cosines[:, None, None, None], sines[:, None, None, None]
-    vectors = torch.stack((c * x - s * y, s * x + c * y), dim=2).flatten(1, 2)
+    vectors = torch.stack((c * along_x - s * along_y, s * along_x + c * along_y), dim=2).flatten(
+        1, 2
+    )
     return torch.cat((turned[:, : VECTORS.start], vectors, turned[:, VECTORS.stop :]), dim=1)
 
 
@@ -54,9 +61,26 @@ def correlate(turned: Tensor, target: Tensor) -> Tensor:
         turned: spectra (k, c, ...) of the turned source.
         target: spectrum (c, ...) of the target.
     """
-    product = (turned.conj() * target).sum(dim=1)
+    # One channel after the other: the products of all of them would not stay in the cache.
+    product = turned[:, 0].conj() * target[0]
+    for channel in range(1, len(target)):
+        product = product + turned[:, channel].conj() * target[channel]
     scores: Tensor = torch.fft.irfft2(product, s=(SHIFTS, SHIFTS))
     return scores
+
+
+def score_parts(source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor) -> Tensor:
+    """What descriptors, normals and free space add to the scores of poses, (k, 3).
+
+    Args:
+        source: (c, h, w), as a source.
+        target: (c, h, w), as a target.
+        yaws: (k,) radians.
+        shifts: (k, 2), x and y, metres.
+    """
+    products = (rotated(source, yaws, shifts) * target).sum(dim=(2, 3))
+    groups = (products[:, : VECTORS.start], products[:, VECTORS], products[:, VECTORS.stop :])
+    return torch.stack([each.sum(dim=1) for each in groups], dim=1)
 
 
 def yaw_angles() -> Tensor:
@@ -64,6 +88,6 @@ def yaw_angles() -> Tensor:
     return torch.arange(YAWS) * (2 * math.pi / YAWS)
 
 
-def shift_of(cell: int) -> float:
-    """The shift of a cell of the grid, metres."""
+def shift_of(cell: float) -> float:
+    """The shift of a cell of the grid, metres; between cells, too."""
     return (cell - SHIFTS if cell >= SHIFTS // 2 else cell) * STEP

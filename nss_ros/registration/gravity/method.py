@@ -8,20 +8,22 @@ to `fpfh_ransac`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import Transform, relative, rotation_angle
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
-from nss_ros.registration.gravity.agreement import agreement
+from nss_ros.registration.gravity.correlation import score_parts
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
-from nss_ros.registration.gravity.refinement import Candidate, Shape, aligned, tried
+from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
 from nss_ros.registration.gravity.scan import LevelScan, scan_of
 from nss_ros.registration.gravity.search import Search, search
 from nss_ros.registration.gravity.verifier import judge
@@ -34,9 +36,7 @@ from nss_ros.registration.relative_transform import (
 )
 
 # Alignments closer than this are one hypothesis.
-_SAME_TRANSLATION, _SAME_ROTATION = 0.2, np.radians(6)
-# Trials are compared by the score of the search and by these, set by hand.
-_SHARED_WEIGHT, _CONFLICT_WEIGHT = 5.0, 10.0
+_SAME_TRANSLATION, _SAME_ROTATION = 0.1, np.radians(3)
 _LEAST_PROBABILITY = 0.01
 
 
@@ -111,60 +111,56 @@ class Gravity:
         return self._answer(pair, source, target)
 
     def candidates(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Candidate, ...]:
-        """Aligned hypotheses of two levelled fragments, the most promising first."""
+        """Aligned hypotheses of two levelled fragments, in the order of the search."""
         assert source.shape is not None
         assert target.shape is not None
         found = self.search(source, target)
-        trials = [tried(source.shape, target.shape, peak, self.config) for peak in found.peaks]
-        order = _promise(source.shape, target.shape, trials, found)
-        chosen: list[Candidate] = []
-        for number in order:
-            if len(chosen) >= self.config.gravity.alignments:
-                break
-            start = trials[number]
-            if _is_known(start, chosen):
-                continue
-            candidate = aligned(
-                source.shape, target.shape, start, found.peaks[number], found, self.config
-            )
-            if not _is_known(candidate.refined.T_target_source, chosen):
-                chosen.append(candidate)
-        return tuple(chosen)
+        alignments: list[Alignment] = []
+        for peak in found.peaks:
+            alignment = aligned(source.shape, target.shape, peak, self.config)
+            if not _is_known(alignment.refined.T_target_source, alignments):
+                alignments.append(alignment)
+        parts = score_parts(*self._maps(source, target), *_planar(alignments)).tolist()
+        return tuple(
+            judged(source.shape, target.shape, alignment, each, found, self.config)
+            for alignment, each in zip(alignments, parts, strict=True)
+        )
 
     def search(self, source: GravityFeatures, target: GravityFeatures) -> Search:
         """The best poses before any refinement."""
+        return search(*self._maps(source, target), self.config.gravity.hypotheses)
+
+    def _maps(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Tensor, Tensor]:
+        """Features of the one as a source and of the other as a target."""
         assert source.maps is not None
         assert target.maps is not None
         kind = int(FragmentPair(source.id, target.id).same_stage)
-        return search(
-            torch.from_numpy(source.maps[kind]),
-            as_target(torch.from_numpy(target.maps[kind])),
-            self.config.gravity.hypotheses,
-        )
+        moving = torch.from_numpy(source.maps[kind])
+        return moving, as_target(torch.from_numpy(target.maps[kind]))
 
     def _answer(
         self, pair: FragmentPair, source: GravityFeatures, target: GravityFeatures
     ) -> RelativeTransform:
         candidates = self.candidates(source, target)
-        judged = judge(self._verifier, [each.signs for each in candidates], pair.same_stage)
-        order = np.argsort(-judged.probabilities, kind="stable")
+        judgement = judge(self._verifier, [each.signs for each in candidates], pair.same_stage)
+        order = np.argsort(-judgement.probabilities, kind="stable")
         best = candidates[order[0]]
         hypotheses = tuple(
             Hypothesis(
                 candidates[number].refined.T_target_source,
-                float(judged.probabilities[number]),
+                float(judgement.probabilities[number]),
                 candidates[number].refined.covariance,
             )
             for number in order[1:]
-            if judged.probabilities[number] > _LEAST_PROBABILITY
+            if judgement.probabilities[number] > _LEAST_PROBABILITY
         )
         return RelativeTransform(
             pair,
             self.name,
             T_target_source=best.refined.T_target_source,
             covariance=best.refined.covariance,
-            overlap_probability=judged.overlap,
-            confidence=float(judged.probabilities[order[0]]),
+            overlap_probability=judgement.overlap,
+            confidence=float(judgement.probabilities[order[0]]),
             inliers=best.support.inliers,
             inlier_ratio=best.support.inlier_ratio,
             rmse=best.support.rmse,
@@ -181,20 +177,16 @@ def feature_maps(network: GravityNetwork, scan: LevelScan) -> NDArray[np.float32
         return np.asarray(torch.stack(both).numpy())
 
 
-def _promise(
-    source: Shape, target: Shape, trials: list[Transform], found: Search
-) -> NDArray[np.intp]:
-    """Order of the trials: by the search, and by what both scanners saw."""
-    scores = np.array([peak.score for peak in found.peaks])
-    seen = [agreement(source.view, target.view, each) for each in trials]
-    scores += _SHARED_WEIGHT * np.array([each.shared for each in seen])
-    scores -= _CONFLICT_WEIGHT * np.array([each.conflict for each in seen])
-    return np.argsort(-scores, kind="stable")
+def _planar(alignments: Sequence[Alignment]) -> tuple[Tensor, Tensor]:
+    """Yaws (k,) and shifts (k, 2) of alignments."""
+    transforms = np.stack([each.refined.T_target_source for each in alignments])
+    yaws = np.arctan2(transforms[:, 1, 0], transforms[:, 0, 0])
+    return torch.from_numpy(yaws).float(), torch.from_numpy(transforms[:, :2, 3]).float()
 
 
-def _is_known(transform: Transform, chosen: list[Candidate]) -> bool:
-    for candidate in chosen:
-        difference = relative(transform, candidate.refined.T_target_source)
+def _is_known(transform: Transform, alignments: Sequence[Alignment]) -> bool:
+    for each in alignments:
+        difference = relative(transform, each.refined.T_target_source)
         if (
             np.linalg.norm(difference[:3, 3]) < _SAME_TRANSLATION
             and rotation_angle(difference) < _SAME_ROTATION

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,10 +21,16 @@ from nss_ros.registration.validation import Support, support
 
 # Point-to-plane distance at which a surface counts a quarter, metres: what changed must not pull.
 _KERNEL = 0.05
-_TRIAL_POINTS, _TRIAL_ITERATIONS, _TRIAL_LEVELS = 800, 6, (3.0,)
 _DAMPING = 0.005
-# An alignment that leaves the cell of the search was carried away.
-_MOST_TRANSLATION, _MOST_ROTATION = 0.5, np.radians(8)
+# Few points at first, all that are wanted at last.
+_COARSE_POINTS, _COARSE_ITERATIONS, _FINE_ITERATIONS = 1500, 10, 5
+_THIN_POINTS = 800
+# An alignment that leaves the cell of the search was carried away; then the pose of the search,
+# which is about this good, stands.
+_MOST_TRANSLATION, _MOST_ROTATION = 0.25, np.radians(5)
+_PEAK_COVARIANCE = np.diag(
+    [0.1**2, 0.1**2, 0.03**2, *[np.radians(0.3) ** 2] * 2, np.radians(1.5) ** 2]
+)
 _LEVEL_NORMAL = 0.8
 _HEIGHT_POINTS = 400
 # Level surfaces are matched across, with heights counting less.
@@ -50,6 +57,10 @@ SIGNS = (
     "tilt",
     "stiffness",
     "floor",
+    "descriptors",
+    "normals",
+    "free_space",
+    "margin_aligned",
 )
 
 
@@ -61,6 +72,7 @@ class Shape:
         floor: where its floor is.
         surface: all points.
         thin: some of the points.
+        coarse: some more.
         moderate: more of the points.
         levels: (n, 4) float64, x, y, weighted z, and whether it faces up, of level surfaces.
         level_tree: search tree of `levels`.
@@ -70,6 +82,7 @@ class Shape:
     floor: Floor
     surface: Surface
     thin: Surface
+    coarse: Surface
     moderate: Surface
     levels: Array
     level_tree: Any
@@ -89,12 +102,21 @@ class Shape:
         return cls(
             scan.floor,
             Surface.of(scan.points, normals),
-            Surface.sample(scan.points, normals, _TRIAL_POINTS),
+            Surface.sample(scan.points, normals, _THIN_POINTS),
+            Surface.sample(scan.points, normals, _COARSE_POINTS),
             Surface.sample(scan.points, normals, config.icp.max_points),
             levels,
             cKDTree(levels),
             WallView.of(scan.points, normals),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """A pose of the search, and where alignment brought it."""
+
+    peak: Peak
+    refined: Refined
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,44 +134,55 @@ class Candidate:
     signs: Array
 
 
-def tried(source: Shape, target: Shape, peak: Peak, config: RegistrationConfig) -> Transform:
-    """A short alignment of few points, to compare hypotheses."""
+def aligned(source: Shape, target: Shape, peak: Peak, config: RegistrationConfig) -> Alignment:
+    """The exact alignment from a pose of the search.
+
+    Only what is near in the pose of the search is matched: it is mostly nearer to the truth than
+    the width of the next stud or frame, to which a wider ICP would slip.
+    """
     start = from_yaw(peak.yaw, (peak.x, peak.y, 0.0))
     start[2, 3] = _height(source, target, start)
+    refined = _refined(source.coarse, target.surface, start, _COARSE_ITERATIONS, config)
+    refined = _refined(
+        source.moderate, target.surface, refined.T_target_source, _FINE_ITERATIONS, config
+    )
+    if not _is_near(refined.T_target_source, start):
+        there = _refined(source.moderate, target.surface, start, 0, config)
+        information = np.asarray(np.linalg.inv(there.covariance + _PEAK_COVARIANCE))
+        refined = replace(there, information=information, converged=False)
+    return Alignment(peak, refined)
+
+
+def _refined(
+    source: Surface,
+    target: Surface,
+    start: Transform,
+    iterations: int,
+    config: RegistrationConfig,
+) -> Refined:
     distance = config.icp.max_distance
-    found = refine(
-        source.thin,
-        target.surface,
-        start,
-        distance,
-        _TRIAL_ITERATIONS,
-        _TRIAL_LEVELS,
-        _KERNEL,
-        _DAMPING,
-    ).T_target_source
-    return found if _is_near(found, start) else start
+    return refine(source, target, start, distance, iterations, (1.0,), _KERNEL, _DAMPING)
 
 
-def aligned(
+def judged(
     source: Shape,
     target: Shape,
-    start: Transform,
-    peak: Peak,
+    alignment: Alignment,
+    parts: Sequence[float],
     search: Search,
     config: RegistrationConfig,
 ) -> Candidate:
-    """The exact alignment from a start, and its signs."""
-    refined = refine(
-        source.moderate,
-        target.surface,
-        start,
-        config.icp.max_distance,
-        config.icp.iterations,
-        kernel=_KERNEL,
-        damping=_DAMPING,
-    )
-    if not _is_near(refined.T_target_source, start):
-        refined = replace(refined, T_target_source=start, converged=False)
+    """An alignment with its signs.
+
+    Args:
+        source: of the pair.
+        target: of the pair.
+        alignment: one of the pair's.
+        parts: of its score, see `score_parts`.
+        search: that it came from.
+        config: settings.
+    """
+    peak, refined = alignment.peak, alignment.refined
     transform = refined.T_target_source
     forth = support(source.moderate, target.surface, transform, config)
     seen = agreement(source.view, target.view, transform)
@@ -173,6 +206,8 @@ def aligned(
         tilt_angle(transform),
         float(np.log(max(stiffness, 1e-3))),
         min(source.floor.share, target.floor.share),
+        *parts,
+        sum(parts) - search.peaks[0].score,
     )
     return Candidate(refined, forth, np.array(signs))
 

@@ -22,6 +22,7 @@ from nss_ros.registration.gravity.correlation import (
 
 # Poses closer than this to a better one are the same hypothesis, in cells of the grid.
 _APART_YAWS, _APART_CELLS = 3, 2
+_SHAPE = np.array([YAWS, SHIFTS, SHIFTS])
 _BATCH = 24
 _PEAKS = 4000
 
@@ -91,17 +92,19 @@ def _peaks(
     peaks: list[Peak] = []
     while left.any() and len(peaks) < count:
         best = int(np.argmax(left))  # the values descend
-        apart = np.abs(places - places[best])
-        apart = np.minimum(apart, np.array([YAWS, SHIFTS, SHIFTS]) - apart)
-        beside = left & (apart <= (_APART_YAWS, _APART_CELLS, _APART_CELLS)).all(axis=1)
+        offsets = (places - places[best] + _SHAPE // 2) % _SHAPE - _SHAPE // 2
+        beside = left & (np.abs(offsets) <= (_APART_YAWS, _APART_CELLS, _APART_CELLS)).all(axis=1)
         mass = float(np.logaddexp.reduce(values[beside])) - total
         left &= ~beside
-        yaw, row, column = (int(each) for each in places[best])
+        touching = (np.abs(offsets) <= 1).all(axis=1)
+        weights = np.exp(values[touching] - values[best])
+        # Between the cells: the mean pose of the cell and those that touch it.
+        exact = places[best] + weights @ offsets[touching] / weights.sum()
         peaks.append(
             Peak(
-                yaw * 2 * math.pi / YAWS,
-                shift_of(column),
-                shift_of(row),
+                float(exact[0]) * 2 * math.pi / YAWS,
+                shift_of(float(exact[2])),
+                shift_of(float(exact[1])),
                 float(values[best]),
                 mass,
             )
