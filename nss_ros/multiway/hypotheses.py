@@ -99,7 +99,7 @@ def _voted(
         changed = False
         for id_ in members:
             predictions = np.array([_prediction(id_, m, poses) for m in touching[id_]])
-            votes = np.array([close.agree(each, predictions).sum() for each in predictions])
+            votes = close.votes(predictions)
             if votes.max() > close.agree(poses[id_], predictions).sum():
                 poses[id_] = predictions[int(np.argmax(votes))]
                 changed = True

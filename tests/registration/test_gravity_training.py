@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from typer.testing import CliRunner
 
 from nss_ros.cli.main import app
@@ -13,6 +14,7 @@ from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.errors import InputError
 from nss_ros.registration.gravity.train import main
 from nss_ros.registration.gravity.training_data import ExampleSource, read_items
+from nss_ros.registration.gravity.weights import load_network
 from nss_ros.registration.method import load_method
 
 _SITE = """
@@ -49,6 +51,21 @@ def test_training_gives_weights_that_are_reproducible_and_usable(monkeypatch, tm
     method, dataset = load_method(config), DatasetFolder(datasets[1])
     source, target = (method.prepare(dataset.fragment(i)) for i in dataset.fragment_ids()[:2])
     assert method.register(source, target, 0).ok
+
+
+def test_training_goes_on_from_other_weights(monkeypatch, tmp_path, datasets):
+    first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
+    options = ("--verifier-pairs", 4, "--workers", 1)
+    train(monkeypatch, *datasets, "-o", first, "--steps", 2, *options)
+    further = ("--start", first, "--seed", 5, "--steps", 1)
+    train(monkeypatch, *datasets, "-o", second, *further, *options)
+    one, other = load_network(first).state_dict(), load_network(second).state_dict()
+    # Another seed would begin with other weights.
+    assert all(torch.allclose(one[name], other[name], atol=0.01) for name in one)
+    assert any(not torch.equal(one[name], other[name]) for name in one)
+    none = tmp_path / "none.safetensors"
+    with pytest.raises(SystemExit, match="error: "):
+        train(monkeypatch, *datasets, "-o", second, "--start", none, *options)
 
 
 def test_datasets_without_fragments_that_overlap_not_are_told(datasets):

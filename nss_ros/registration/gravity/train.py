@@ -2,6 +2,7 @@
 
     ./nss python -m nss_ros.registration.gravity.train DATASET... -o gravity.safetensors
 
+With `--start` the network of other weights is trained further, for instance on sites of one's own.
 The network learns from all datasets but the last, whose pairs train the verifier: its hypotheses
 must be as good and as bad as those of sites that the network has not seen.
 """
@@ -30,7 +31,7 @@ from nss_ros.registration.gravity.training_data import (
 )
 from nss_ros.registration.gravity.verifier import Verifier
 from nss_ros.registration.gravity.verifier_training import Case, case_of, train_verifier
-from nss_ros.registration.gravity.weights import save_weights
+from nss_ros.registration.gravity.weights import load_network, save_weights
 
 _APART_SHARE = 0.2
 _CACHE = 400
@@ -41,7 +42,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("datasets", type=Path, nargs="+", help="two or more, of different seeds")
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--start", type=Path, help="weights whose network is trained further")
     parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--learning-rate", type=float, default=2e-3, help="the largest one")
     parser.add_argument("--verifier-pairs", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=0, help="processes that read; 0: all cores")
@@ -63,11 +66,14 @@ def fit(arguments: argparse.Namespace) -> None:
     *folders, last = arguments.datasets
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
-    network, verifier = GravityNetwork(), Verifier()
+    network = load_network(arguments.start) if arguments.start else GravityNetwork()
+    verifier = Verifier()
     items = read_items(folders, config, arguments.workers)
     with progress_bar() as bar:
         task = bar.add_task("network", total=arguments.steps)
-        settings = TrainingConfig(steps=arguments.steps, seed=arguments.seed)
+        settings = TrainingConfig(
+            steps=arguments.steps, learning_rate=arguments.learning_rate, seed=arguments.seed
+        )
         for step, loss, hits in train(network, items, settings):
             bar.update(task, completed=step + 1, description=f"loss {loss:.2f}, hits {hits:.2f}")
     cases = collect(

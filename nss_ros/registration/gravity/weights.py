@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from safetensors.torch import load, save
 from torch import Tensor
+from torch.nn import Module
 
 from nss_ros.errors import MethodError
 from nss_ros.files import write_file
@@ -28,16 +31,31 @@ def load_weights(path: str = "") -> Networks:
         MethodError: there is no such file, or it is not of this method.
     """
     source = Path(path) if path else files("nss_ros.registration.gravity") / _FILE
+    network, verifier = GravityNetwork(), Verifier()
+    _load(source, {_NETWORK: network, _VERIFIER: verifier})
+    return network.eval(), verifier.eval()
+
+
+def load_network(path: Path) -> GravityNetwork:
+    """The network of a file of weights, to be trained further.
+
+    Raises:
+        MethodError: there is no such file, or it is not of this method.
+    """
+    network = GravityNetwork()
+    _load(path, {_NETWORK: network})
+    return network
+
+
+def _load(source: Traversable, modules: Mapping[str, Module]) -> None:
     try:
         tensors = load(source.read_bytes())
-        network, verifier = GravityNetwork(), Verifier()
-        network.load_state_dict(_part(tensors, _NETWORK))
-        verifier.load_state_dict(_part(tensors, _VERIFIER))
+        for prefix, module in modules.items():
+            module.load_state_dict(_part(tensors, prefix))
     except Exception as error:
         raise MethodError(
             f"{source} does not hold weights of the method gravity: {error}"
         ) from error
-    return network.eval(), verifier.eval()
 
 
 def save_weights(path: Path, network: GravityNetwork, verifier: Verifier) -> None:
