@@ -86,9 +86,7 @@ class IcpConfig(Section):
 class RegistrationConfig(Section):
     """How pairs are registered."""
 
-    method: str = Field(
-        "fpfh_ransac", description="Registered name of the method; see 'nss methods'"
-    )
+    method: str = Field("gravity", description="Registered name of the method; see 'nss methods'")
     seed: int = Field(0, ge=0, description="Mixed with the hash of the pair into each pair's seed")
     voxel_size: Positive = Field(
         0.05, description="Fragments are voxelised to this size on arrival, metres"
@@ -131,9 +129,9 @@ class MultiwayConfig(Section):
     synchronizer: str = Field(
         "choi", description="Registered name of the multi-way method; see 'nss methods'"
     )
-    start: Literal["triangles", "confidence"] = Field(
-        "triangles",
-        description="Spanning tree of the initial poses: by triangle support, or by confidence as in the paper's set-up",
+    start: Literal["evidence", "triangles", "confidence"] = Field(
+        "evidence",
+        description="Initial poses: by the evidence of all hypotheses, or of a spanning tree by triangle support, or by confidence as in the paper's set-up",
     )
     max_distance: Positive = Field(
         0.2, description="Correspondence distance that scales the line process, metres"
@@ -149,7 +147,7 @@ class MultiwayConfig(Section):
         3.0, description="Levelled edges tilted by more than this are rejected at once, degrees"
     )
     loop_translation: Positive = Field(
-        0.4, description="A loop of edges closes if it misses by no more than this, metres"
+        0.3, description="A loop of edges closes if it misses by no more than this, metres"
     )
     loop_rotation: Positive = Field(6.0, description="... and by no more than this, degrees")
     bridge_confidence: Fraction = Field(

@@ -1,8 +1,8 @@
 """Robust pose-graph optimisation with line processes (Choi, Zhou, Koltun: CVPR 2015).
 
 The optimiser is Open3D's. Two things are ours, because without them it fails on graphs of
-aliased buildings (METHODS): the start, a spanning tree grown by triangle support, since the line
-process judges the edges on the initial poses; and the check of every residual afterwards, since
+aliased buildings (METHODS): the start, from parts of the map that are joined by the evidence of
+all hypotheses, since the line process judges the edges on the initial poses; and the check of every residual afterwards, since
 Open3D's rotation residual is the sine of the angle, which is zero for a flip by 180 degrees.
 """
 
@@ -25,8 +25,9 @@ from nss_ros.geometry import (
     rotation_angle,
     tilt_angle,
 )
+from nss_ros.multiway.agglomeration import joined_parts
 from nss_ros.multiway.covariance import pose_covariances
-from nss_ros.multiway.hypotheses import chosen_hypotheses
+from nss_ros.multiway.hypotheses import fitting_hypothesis
 from nss_ros.multiway.pose_graph import (
     Edge,
     EdgeStatus,
@@ -66,18 +67,15 @@ class Choi:
     ) -> PoseGraph:
         """Poses of all fragments; see `Synchronizer.synchronize`."""
         ids = sorted(set(fragments))
-        ordered = sorted(measurements, key=_canonical)
-        votes = self._votes()
-        if votes is not None:
-            ordered = chosen_hypotheses(ordered, votes)
-        edges = [_Judged(m) for m in ordered]
+        edges = [_Judged(m) for m in sorted(measurements, key=_canonical)]
         self._reject_at_once(edges, set(ids))
-        support = self._support([edge.measurement for edge in edges if edge.accepted])
-        for edge, count in zip([e for e in edges if e.accepted], support, strict=True):
-            edge.support = int(count)
         poses: Poses = {}
+        if self._config.start == "evidence":
+            poses = self._join(ids, edges)
+        self._count_support(edges)
         for _ in range(_MOST_ROUNDS):
-            poses = self._optimise(ids, edges)
+            known = poses if self._config.start == "evidence" else {}
+            poses = self._optimise(ids, edges, known)
             if not self._judge(edges, poses):
                 break
         self._reject_bridges(ids, edges)
@@ -96,12 +94,43 @@ class Choi:
             elif m.level and (tilt := tilt_angle(m.T_target_source)) > limit:
                 edge.reject(f"tilts levelled fragments by {np.rad2deg(tilt):.1f} deg")
 
-    def _support(self, measurements: list[Measurement]) -> NDArray[np.int64]:
-        rotation = np.deg2rad(self._config.loop_rotation)
-        return triangle_support(measurements, self._config.loop_translation, rotation)
+    def _join(self, ids: list[FragmentId], edges: list[_Judged]) -> Poses:
+        """Poses by which the pairs agree; their edges get the hypothesis that fits them."""
+        close = self._close()
+        parts = joined_parts(ids, [e.measurement for e in edges if e.accepted], close)
+        part = {id_: number for number, members in enumerate(parts) for id_ in members}
+        poses = {id_: pose for members in parts for id_, pose in members.items()}
+        for edge in edges:
+            m = edge.measurement
+            if not edge.accepted or m.manual:
+                continue
+            if part[m.pair.source] != part[m.pair.target]:
+                edge.reject("too little speaks for joining the parts of the map that it links")
+                continue
+            fitting = fitting_hypothesis(m, _relative(m, poses), close)
+            if fitting is None:
+                edge.reject("none of its hypotheses agrees with the others")
+            else:
+                edge.measurement = fitting
+        return poses
 
-    def _optimise(self, ids: list[FragmentId], edges: list[_Judged]) -> Poses:
-        """Poses of every fragment, each component in the frame of its first one."""
+    def _count_support(self, edges: list[_Judged]) -> None:
+        accepted = [edge for edge in edges if edge.accepted]
+        close = self._close()
+        support = triangle_support(
+            [edge.measurement for edge in accepted], close.translation, close.rotation
+        )
+        for edge, count in zip(accepted, support, strict=True):
+            edge.support = int(count)
+
+    def _optimise(self, ids: list[FragmentId], edges: list[_Judged], known: Poses) -> Poses:
+        """Poses of every fragment, each component in the frame of its first one.
+
+        Args:
+            ids: all fragments.
+            edges: those accepted count.
+            known: poses to start from; empty: those of a spanning tree.
+        """
         active = [edge for edge in edges if edge.accepted]
         poses: Poses = {}
         for members in components(ids, [edge.measurement for edge in active]):
@@ -110,16 +139,16 @@ class Choi:
             if not own:
                 poses[members[0]] = np.eye(4)
                 continue
-            ranks = np.array([self._rank(edge) for edge in own])
-            start = spanning_tree_poses(
-                members, [edge.measurement for edge in own], ranks, self._votes()
-            )
+            start = {id_: known[id_] for id_ in members} if known else self._tree(members, own)
             poses |= self._line_process(members, own, start)
         return poses
 
-    def _votes(self) -> Closeness | None:
-        if self._config.start == "confidence":
-            return None
+    def _tree(self, members: list[FragmentId], edges: list[_Judged]) -> Poses:
+        ranks = np.array([self._rank(edge) for edge in edges])
+        votes = self._close() if self._config.start == "triangles" else None
+        return spanning_tree_poses(members, [edge.measurement for edge in edges], ranks, votes)
+
+    def _close(self) -> Closeness:
         return Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
 
     def _rank(self, edge: _Judged) -> tuple[float, ...]:

@@ -8,7 +8,6 @@ from heapq import heappop, heappush
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, inverse
@@ -76,13 +75,6 @@ class Closeness:
         near = np.linalg.norm(others[:, :3, 3] - one[:3, 3], axis=1) < self.translation
         cosine = (np.einsum("nij,ij->n", others[:, :3, :3], one[:3, :3]) - 1) / 2
         return np.asarray(near & (cosine > np.cos(self.rotation)))
-
-    def votes(self, transforms: NDArray[np.float64]) -> NDArray[np.int64]:
-        """With how many of the transforms (n, 4, 4) each of them agrees, itself too, (n,)."""
-        places, turns = transforms[:, :3, 3], transforms[:, :3, :3].reshape(-1, 9)
-        near = cdist(places, places) < self.translation
-        cosine = (np.einsum("ik,jk->ij", turns, turns) - 1) / 2
-        return np.asarray((near & (cosine > np.cos(self.rotation))).sum(axis=1))
 
 
 class _Growth:

@@ -7,7 +7,7 @@ optimisation succeeds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,7 @@ from nss_ros.multiway.pose_graph import Measurement
 
 
 def triangle_support(
-    measurements: Sequence[Measurement],
-    translation: float,
-    rotation: float,
-    wanted: Iterable[int] | None = None,
+    measurements: Sequence[Measurement], translation: float, rotation: float
 ) -> NDArray[np.int64]:
     """How many triangles with two other measurements each measurement closes, (n,).
 
@@ -30,12 +27,10 @@ def triangle_support(
         measurements: any number; several of one pair are different edges of a multigraph.
         translation: a triangle closes when its loop moves the origin less than this, metres ...
         rotation: ... and turns by less than this, radians.
-        wanted: indices of the measurements that it is counted for, the others get 0; None: all.
     """
     support = np.zeros(len(measurements), dtype=np.int64)
     links = _links(measurements)
-    for i in range(len(measurements)) if wanted is None else wanted:
-        edge = measurements[i]
+    for i, edge in enumerate(measurements):
         source, target = edge.pair.source, edge.pair.target
         first, second = _paths(links, source, target)
         if not len(first[0]):

@@ -15,6 +15,9 @@ from nss_ros.multiway.pose_graph import EdgeKind, EdgeStatus, Measurement, NodeS
 from nss_ros.multiway.synchronizer import load_synchronizer, synchronizer_names
 
 
+_STARTS = ["evidence", "triangles", "confidence"]
+
+
 def random_pose(random, size=10.0):
     return from_rotation(Rotation.random(rng=random), random.uniform(-size, size, 3))
 
@@ -98,7 +101,7 @@ def fingerprint(graph):
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.integers(2, 25), st.integers(0, 10_000), st.sampled_from(["triangles", "confidence"]))
+@given(st.integers(2, 25), st.integers(0, 10_000), st.sampled_from(_STARTS))
 def test_graphs_without_noise_are_solved_exactly(count, seed, start):
     world = World(count, seed)
     graph = solve(world, world.measurements()[0], start=start, bridge_confidence=0.0)
@@ -137,14 +140,15 @@ def test_the_triangle_start_survives_six_of_ten_wrong_where_confidence_fails():
     measurements, right = world.measurements(noise=0.003, wrong=0.6)
     true = {pair for pair, is_right in zip(world.pairs, right, strict=True) if is_right}
     accepted = {}
-    for start in ("triangles", "confidence"):
+    for start in _STARTS:
         graph = solve(world, measurements, start=start, bridge_confidence=1.0)
         accepted[start] = {e.pair for e in graph.edges if e.status is EdgeStatus.ACCEPTED}
-        if start == "triangles":
+        if start != "confidence":
             assert sum(node.component == 0 for node in graph.nodes) >= 98
             assert worst_error(world, graph)[0] < 0.2
-    assert accepted["triangles"] <= true
-    assert len(accepted["triangles"]) >= 0.98 * len(true)
+    for start in ("evidence", "triangles"):
+        assert accepted[start] <= true
+        assert len(accepted[start]) >= 0.98 * len(true)
     assert len(accepted["confidence"] & true) < 0.5 * len(true)
 
 

@@ -2,8 +2,8 @@
 
 Levelled fragments differ by yaw and translation only. All yaw angles and shifts in x and y are
 scored at once on learned maps (`search`), the best hypotheses are aligned (`refinement`), and
-each gets the probability that it is right (`verifier`). Fragments that are not levelled are left
-to `fpfh_ransac`.
+each gets the probability that it is right (`verifier`). Fragments that are not levelled, and two
+that reach much farther than a Matterport, are left to `fpfh_ransac`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nss_ros.config import RegistrationConfig
-from nss_ros.fragment import Fragment, FragmentId, FragmentPair
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair, clean_points
 from nss_ros.geometry import Transform, relative, rotation_angle
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
@@ -38,6 +38,10 @@ from nss_ros.registration.relative_transform import (
 # Alignments closer than this are one hypothesis.
 _SAME_TRANSLATION, _SAME_ROTATION = 0.1, np.radians(3)
 _LEAST_PROBABILITY = 0.01
+# Poses this much less likely than the best one, by the logarithm, are hardly ever right.
+_MOST_MARGIN = 7.0
+# The maps end at 4.8 m. Two scanners that see much farther are better told apart by all they see.
+_MOST_REACH = 7.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +54,8 @@ class GravityFeatures:
         shape: what alignment needs; None when it is not levelled or has too few points.
         maps: (2, CHANNELS, h, w) float32, as a source: for a pair of different stages, and for
             one of one stage; None when `shape` is.
-        generic: features for `fpfh_ransac` when it is not levelled; else None.
+        generic: features for `fpfh_ransac` when it is not levelled, or reaches farther than the
+            maps; else None.
     """
 
     id: FragmentId
@@ -77,7 +82,10 @@ class Gravity:
         if not fragment.gravity_aligned:
             generic = self._generic.prepare(fragment)
             return GravityFeatures(fragment.id, len(generic.points), None, None, generic)
-        return self.prepare_scan(scan_of(fragment, self.config))
+        features = self.prepare_scan(scan_of(fragment, self.config))
+        if _reach(fragment) > _MOST_REACH:
+            features = replace(features, generic=self._generic.prepare(fragment))
+        return features
 
     def prepare_scan(self, scan: LevelScan) -> GravityFeatures:
         """Features of a levelled fragment."""
@@ -91,7 +99,8 @@ class Gravity:
         self, source: GravityFeatures, target: GravityFeatures, seed: int
     ) -> RelativeTransform:
         """`T_target_source` of two prepared fragments; the seed is for those not levelled."""
-        if source.generic is not None and target.generic is not None:
+        alike = (source.shape is None) == (target.shape is None)
+        if alike and source.generic is not None and target.generic is not None:
             answer = self._generic.register(source.generic, target.generic, seed)
             return replace(answer, method=self.name)
         pair = FragmentPair(source.id, target.id)
@@ -117,6 +126,8 @@ class Gravity:
         found = self.search(source, target)
         alignments: list[Alignment] = []
         for peak in found.peaks:
+            if peak.score < found.peaks[0].score - _MOST_MARGIN:
+                break
             alignment = aligned(source.shape, target.shape, peak, self.config)
             if not _is_known(alignment.refined.T_target_source, alignments):
                 alignments.append(alignment)
@@ -166,6 +177,12 @@ class Gravity:
             rmse=best.support.rmse,
             alternatives=hypotheses,
         )
+
+
+def _reach(fragment: Fragment) -> float:
+    """Horizontal distance of the farther points, metres."""
+    points = clean_points(fragment.points)
+    return float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)) if len(points) else 0.0
 
 
 def feature_maps(network: GravityNetwork, scan: LevelScan) -> NDArray[np.float32]:

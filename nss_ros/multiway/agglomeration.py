@@ -1,0 +1,285 @@
+"""Parts of a map, joined by evidence: from ambiguous pairs to the poses on which most agree.
+
+A pair alone often cannot tell one bay of a building from the next; its right pose is then among
+its alternatives. Every fragment begins as a part of its own, and the two parts that their pairs
+link most surely are joined, again and again. How sure a link is, is Bayesian: a pair whose
+hypothesis agrees with it speaks for it, a pair that is sure of something else against it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from heapq import heappop, heappush
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nss_ros.fragment import FragmentId
+from nss_ros.geometry import Transform, inverse
+from nss_ros.multiway.pose_graph import Measurement
+from nss_ros.multiway.spanning_tree import Closeness, Poses
+
+# Poses of a pair that look alike in a building: what a hypothesis gains by agreeing with another.
+# More would take the same bay, found by two pairs, for a proof.
+_PLACES = 30.0
+# No pair is surer than this, whatever it says.
+_LEAST_DOUBT = 0.03
+# But a person is.
+_NO_DOUBT = 1e-30
+# Logarithm of the odds below which a link is not even tried.
+_LEAST_ODDS = -4.0
+_MOST_HYPOTHESES = 8
+_RIVALS = 5
+# Hypotheses of each pair that are tried in triangles.
+_MOST_IN_LOOPS = 3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Ambiguous:
+    """A pair with its hypotheses.
+
+    Attributes:
+        source: fragment.
+        target: fragment.
+        transforms: (h, 4, 4), each `T_target_source`.
+        probabilities: (h,), that each is right.
+        doubt: probability that none is.
+    """
+
+    source: FragmentId
+    target: FragmentId
+    transforms: Array
+    probabilities: Array
+    doubt: float
+
+    @classmethod
+    def of(cls, m: Measurement) -> Ambiguous:
+        """The hypotheses of a measurement."""
+        listed = [(m.confidence, m.T_target_source)]
+        listed += [(each.probability, each.T_target_source) for each in m.alternatives]
+        listed = listed[:_MOST_HYPOTHESES]
+        probabilities = np.array([p for p, _ in listed]).clip(1e-3, 1 - _LEAST_DOUBT)
+        if m.manual:
+            probabilities[0] = 1.0
+        doubt = max(1 - float(probabilities.sum()), _NO_DOUBT if m.manual else _LEAST_DOUBT)
+        return cls(
+            m.pair.source, m.pair.target, np.array([t for _, t in listed]), probabilities, doubt
+        )
+
+    def towards(self, id_: FragmentId) -> Array:
+        """The likeliest transforms (h, 4, 4) into the frame of one of the two fragments."""
+        transforms = self.transforms[:_MOST_IN_LOOPS]
+        return transforms if id_ == self.target else np.asarray(np.linalg.inv(transforms))
+
+
+def loop_gains(pairs: Sequence[Ambiguous], close: Closeness) -> list[Array]:
+    """What the triangles that each hypothesis closes speak for it, (h,) per pair, logarithm.
+
+    A pair that is sure of itself, and wrong, would else be followed before others that agree.
+    """
+    beside: dict[FragmentId, dict[FragmentId, Ambiguous]] = {}
+    for pair in pairs:
+        beside.setdefault(pair.source, {})[pair.target] = pair
+        beside.setdefault(pair.target, {})[pair.source] = pair
+    return [_loop_gain(pair, beside, close) for pair in pairs]
+
+
+def _loop_gain(
+    pair: Ambiguous, beside: dict[FragmentId, dict[FragmentId, Ambiguous]], close: Closeness
+) -> Array:
+    gains = np.zeros(len(pair.probabilities))
+    thirds = sorted(beside[pair.source].keys() & beside[pair.target].keys())
+    paths: list[Array] = []
+    sizes: list[float] = []
+    counts: list[int] = []
+    for third in thirds:
+        first, second = beside[pair.source][third], beside[pair.target][third]
+        way = second.towards(pair.target)[:, None] @ first.towards(third)[None]
+        likely = np.outer(
+            second.probabilities[:_MOST_IN_LOOPS], first.probabilities[:_MOST_IN_LOOPS]
+        )
+        paths.append(way.reshape(-1, 4, 4))
+        sizes.extend(np.log(np.maximum(likely * _PLACES, 1)).ravel())
+        counts.append(likely.size)
+    if not paths:
+        return gains
+    stack = np.concatenate(paths)
+    starts = np.cumsum([0, *counts[:-1]])
+    for number, transform in enumerate(pair.transforms[:_MOST_IN_LOOPS]):
+        closing = np.where(close.agree(transform, stack), sizes, 0.0)
+        gains[number] = np.maximum.reduceat(closing, starts).sum()
+    return gains
+
+
+@dataclass(frozen=True, slots=True)
+class _Link:
+    """The best transform between two parts.
+
+    Attributes:
+        odds: logarithm of the odds that it is right.
+        transform: from the frame of the second part to that of the first.
+    """
+
+    odds: float
+    transform: Transform
+
+
+def joined_parts(
+    fragments: Iterable[FragmentId],
+    measurements: Sequence[Measurement],
+    close: Closeness,
+) -> list[Poses]:
+    """Parts of the map, largest first, each with poses in a frame of its own.
+
+    The surest links are followed first, the doubtful ones last: they are to be judged when all is
+    in place.
+
+    Args:
+        fragments: all of them.
+        measurements: between them, with their alternatives; others are not used.
+        close: when two poses of a fragment agree.
+    """
+    joining = _Joining(fragments, [Ambiguous.of(m) for m in measurements], close)
+    while (best := joining.best()) is not None and best[0] > _LEAST_ODDS:
+        joining.join(*best[1:])
+    return sorted(joining.parts.values(), key=lambda part: (-len(part), min(part)))
+
+
+class _Joining:
+    """Parts that are being joined, and the links between them."""
+
+    def __init__(
+        self, fragments: Iterable[FragmentId], pairs: list[Ambiguous], close: Closeness
+    ) -> None:
+        ids = sorted(fragments)
+        self.parts: dict[int, Poses] = {n: {id_: np.eye(4)} for n, id_ in enumerate(ids)}
+        self._close = close
+        self._next = len(ids)
+        number = {id_: n for n, id_ in enumerate(ids)}
+        self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.parts}
+        known = [pair for pair in pairs if pair.source in number and pair.target in number]
+        for pair in known:
+            one, other = number[pair.target], number[pair.source]
+            self._pairs[one].setdefault(other, []).append(pair)
+            self._pairs[other].setdefault(one, []).append(pair)
+        self._links: dict[tuple[int, int], _Link] = {}
+        self._queue: list[tuple[float, int, int]] = []
+        for pair, gains in zip(known, loop_gains(known, close), strict=True):
+            one, other = sorted((number[pair.source], number[pair.target]))
+            self._measure(one, other, gains)
+
+    def best(self) -> tuple[float, int, int] | None:
+        """The odds of the surest link, and the parts that it links."""
+        while self._queue:
+            odds, one, other = self._queue[0]
+            if one in self.parts and other in self.parts:
+                return -odds, one, other
+            heappop(self._queue)
+        return None
+
+    def join(self, one: int, other: int) -> None:
+        """Make one part of two."""
+        link = self._links[one, other]
+        part = self.parts.pop(one)
+        for id_, pose in self.parts.pop(other).items():
+            part[id_] = link.transform @ pose
+        new, self._next = self._next, self._next + 1
+        self.parts[new] = part
+        pairs: dict[int, list[Ambiguous]] = {}
+        for old in (one, other):
+            for third, between in self._pairs.pop(old).items():
+                if third not in (one, other):
+                    pairs.setdefault(third, []).extend(between)
+                    del self._pairs[third][old]
+        self._pairs[new] = pairs
+        for third, between in pairs.items():
+            self._pairs[third][new] = between
+            self._measure(third, new)
+
+    def _measure(self, one: int, other: int, gains: Array | None = None) -> None:
+        pairs = self._pairs[one][other]
+        link = _link(self.parts[one], self.parts[other], pairs, self._close, gains)
+        self._links[one, other] = link
+        heappush(self._queue, (-link.odds, one, other))
+
+
+def _link(
+    one: Poses,
+    other: Poses,
+    pairs: Sequence[Ambiguous],
+    close: Closeness,
+    gains_of_loops: Array | None = None,
+) -> _Link:
+    """The best transform from the frame of `other` to that of `one`.
+
+    Args:
+        one: a part.
+        other: another.
+        pairs: between them.
+        close: when two poses agree.
+        gains_of_loops: of the hypotheses of the only pair of two fragments; None: not counted.
+    """
+    placed: list[Transform] = []
+    ends: list[Transform] = []
+    weights: list[float] = []
+    starts: list[int] = []
+    for pair in pairs:
+        starts.append(len(weights))
+        there = pair.source if pair.source in other else pair.target
+        for transform, probability in zip(pair.transforms, pair.probabilities, strict=True):
+            placed.append(
+                one[pair.target] @ transform
+                if there == pair.source
+                else one[pair.source] @ inverse(transform)
+            )
+            ends.append(other[there])
+            weights.append(math.log(probability * _PLACES))
+    poses, own = np.array(placed), np.array(ends)
+    transforms = poses @ np.linalg.inv(own)
+    agree = _agreement(transforms, poses, own, close)
+    doubts = np.log([pair.doubt for pair in pairs])
+    gains = np.where(agree, np.array(weights), -np.inf)
+    per_pair = np.maximum.reduceat(gains, starts, axis=1)
+    scores = np.where(np.isfinite(per_pair), per_pair, doubts).sum(axis=1) - math.log(_PLACES)
+    if gains_of_loops is not None and len(gains_of_loops) == len(scores):
+        scores = scores + gains_of_loops
+    best = int(np.argmax(scores))
+    return _Link(
+        _odds(scores, agree, best, float(doubts.sum())),
+        _mean(transforms[agree[best]], np.exp(np.array(weights)[agree[best]])),
+    )
+
+
+def _agreement(transforms: Array, poses: Array, own: Array, close: Closeness) -> NDArray[np.bool_]:
+    """Which transforms (rows) put the fragments of which hypotheses (columns) where these do."""
+    moved = np.einsum("kij,hj->khi", transforms[:, :3, :3], own[:, :3, 3])
+    moved += transforms[:, None, :3, 3]
+    near = np.linalg.norm(moved - poses[None, :, :3, 3], axis=2) < close.translation
+    turns = transforms[:, :3, :3].reshape(-1, 9)
+    cosine = (np.einsum("ik,jk->ij", turns, turns) - 1) / 2
+    return np.asarray(near & (cosine > math.cos(close.rotation)))
+
+
+def _odds(scores: Array, agree: NDArray[np.bool_], best: int, elsewhere: float) -> float:
+    """Logarithm of the odds of the best transform against all others, and against none."""
+    rivals = [elsewhere]
+    left = ~(agree[best] | agree[:, best])
+    while left.any() and len(rivals) < _RIVALS:
+        rival = int(np.argmax(np.where(left, scores, -np.inf)))
+        rivals.append(float(scores[rival]))
+        left &= ~(agree[rival] | agree[:, rival])
+    return float(scores[best] - np.logaddexp.reduce(rivals))
+
+
+def _mean(transforms: Array, weights: Array) -> Transform:
+    """The weighted mean of transforms (n, 4, 4) that are near each other."""
+    weights = weights / weights.sum()
+    mean = np.eye(4)
+    left, _, right = np.linalg.svd(np.einsum("n,nij->ij", weights, transforms[:, :3, :3]))
+    mean[:3, :3] = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    mean[:3, 3] = np.einsum("n,nj->j", weights, transforms[:, :3, 3])
+    return mean

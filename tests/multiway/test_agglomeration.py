@@ -1,0 +1,142 @@
+"""Ambiguous pairs: which hypothesis the rest of the graph supports."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from nss_ros.config import MultiwayConfig
+from nss_ros.fragment import FragmentId, FragmentPair
+from nss_ros.geometry import from_yaw, relative, rotation_angle
+from nss_ros.multiway.agglomeration import joined_parts
+from nss_ros.multiway.choi import Choi
+from nss_ros.multiway.hypotheses import fitting_hypothesis
+from nss_ros.multiway.pose_graph import Alternative, EdgeStatus, Measurement
+from nss_ros.multiway.spanning_tree import Closeness
+
+CLOSE = Closeness(0.4, np.radians(6))
+INFORMATION = np.diag([1 / 0.02**2] * 3 + [1 / 0.01**2] * 3)
+
+
+@pytest.fixture
+def poses():
+    random = np.random.default_rng(4)
+    return {
+        FragmentId("1", number % 2 + 1, number): from_yaw(
+            random.uniform(-3, 3), (*random.uniform(-8, 8, 2), 0)
+        )
+        for number in range(14)
+    }
+
+
+def random_pose(random):
+    return from_yaw(random.uniform(-3, 3), (*random.uniform(-4, 4, 2), 0))
+
+
+def ambiguous(poses, seed):
+    """Measurements to the next five fragments with four hypotheses each, one of them right.
+
+    The probabilities are what they say: a hypothesis is the right one as often as they tell.
+    """
+    random = np.random.default_rng(seed)
+    ids = sorted(poses)
+    result = []
+    for first, source in enumerate(ids):
+        for target in ids[first + 1 : first + 6]:
+            probabilities = np.sort(random.dirichlet(np.ones(4)))[::-1]
+            hypotheses = [random_pose(random) for _ in probabilities]
+            right = int(random.choice(4, p=probabilities))
+            hypotheses[right] = relative(poses[source], poses[target])
+            best, *others = zip(hypotheses, probabilities, strict=True)
+            result.append(
+                Measurement(
+                    FragmentPair(source, target),
+                    best[0],
+                    INFORMATION,
+                    confidence=float(best[1]),
+                    inliers=1000,
+                    level=True,
+                    alternatives=tuple(
+                        Alternative(pose, INFORMATION, float(p)) for pose, p in others
+                    ),
+                )
+            )
+    return result
+
+
+def measured(poses, pair, confidence):
+    truth = relative(poses[pair[0]], poses[pair[1]])
+    return Measurement(FragmentPair(*pair), truth, INFORMATION, confidence, 1000, level=True)
+
+
+def is_true(m, poses):
+    truth = relative(poses[m.pair.source], poses[m.pair.target])
+    return np.allclose(m.T_target_source, truth, atol=1e-6)
+
+
+def errors(poses, estimates):
+    for one, other in pairwise(sorted(poses)):
+        estimate = relative(estimates[one], estimates[other])
+        error = relative(estimate, relative(poses[one], poses[other]))
+        yield np.linalg.norm(error[:3, 3]), rotation_angle(error)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ambiguous_pairs_are_joined_to_one_part_that_is_right(poses, seed):
+    measurements = ambiguous(poses, seed)
+    most_probable = [is_true(m, poses) for m in measurements]
+    assert np.mean(most_probable) < 0.7
+    (part,) = joined_parts(poses, measurements, CLOSE)
+    assert max(distance for distance, _ in errors(poses, part)) < 0.05
+    assert max(angle for _, angle in errors(poses, part)) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_map_of_ambiguous_pairs_is_right(poses, seed):
+    measurements = ambiguous(poses, seed)
+    graph = Choi(MultiwayConfig()).synchronize(sorted(poses), measurements)
+    placed = {id_: node.T_map_fragment for id_, node in graph.poses().items()}
+    assert len(placed) == len(poses)
+    assert max(distance for distance, _ in errors(poses, placed)) < 0.05
+    assert len(graph.edges) == len(measurements)
+    right = [is_true(edge, poses) for edge in graph.edges if edge.status is EdgeStatus.ACCEPTED]
+    assert len(right) > 50
+    assert all(right)
+
+
+def test_parts_that_little_links_stay_apart(poses):
+    doubtful = [replace(m, confidence=0.2, alternatives=()) for m in ambiguous(poses, 0)[:1]]
+    settings = MultiwayConfig(bridge_confidence=0.5)
+    for change, placed in (({}, 0), ({"confidence": 0.9}, 2), ({"manual": True}, 2)):
+        changed = [replace(m, **change) for m in doubtful]
+        graph = Choi(settings).synchronize(sorted(poses), changed)
+        assert len(graph.poses()) == placed
+
+
+def test_what_several_pairs_say_counts_for_more_than_one_that_is_sure(poses):
+    source, target, *thirds = sorted(poses)[:6]
+    links = [pair for third in thirds for pair in ((source, third), (third, target))]
+    agreeing = [measured(poses, pair, 0.4) for pair in (*links, *pairwise(thirds))]
+    lone = replace(measured(poses, (source, target), 0.9), T_target_source=from_yaw(1, (3, 1, 0)))
+    (part, *_) = joined_parts(poses, [*agreeing, lone], CLOSE)
+    assert len(part) == 6
+    assert np.allclose(
+        relative(part[source], part[target]), relative(poses[source], poses[target]), atol=1e-6
+    )
+
+
+def test_the_hypothesis_that_fits_is_taken(poses):
+    m = next(m for m in ambiguous(poses, 0) if not is_true(m, poses))
+    truth = relative(poses[m.pair.source], poses[m.pair.target])
+    fitting = fitting_hypothesis(m, truth @ from_yaw(0.02, (0.05, 0, 0)), CLOSE)
+    assert is_true(fitting, poses)
+    assert fitting_hypothesis(m, from_yaw(0.3, (50, 0, 0)), CLOSE) is None
+
+
+def test_the_order_of_measurements_does_not_matter(poses):
+    measurements = ambiguous(poses, 2)
+    forth = Choi(MultiwayConfig()).synchronize(sorted(poses), measurements)
+    back = Choi(MultiwayConfig()).synchronize(sorted(poses)[::-1], measurements[::-1])
+    for one, other in zip(forth.nodes, back.nodes, strict=True):
+        assert np.array_equal(one.T_map_fragment, other.T_map_fragment)
