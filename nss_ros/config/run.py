@@ -147,7 +147,7 @@ class MultiwayConfig(Section):
         3.0, description="Levelled edges tilted by more than this are rejected at once, degrees"
     )
     loop_translation: Positive = Field(
-        0.3, description="A loop of edges closes if it misses by no more than this, metres"
+        0.4, description="A loop of edges closes if it misses by no more than this, metres"
     )
     loop_rotation: Positive = Field(6.0, description="... and by no more than this, degrees")
     bridge_confidence: Fraction = Field(

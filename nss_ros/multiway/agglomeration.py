@@ -30,10 +30,13 @@ _LEAST_DOUBT = 0.03
 _NO_DOUBT = 1e-30
 # Logarithm of the odds below which a link is not even tried.
 _LEAST_ODDS = -4.0
-_MOST_HYPOTHESES = 8
+_MOST_HYPOTHESES = 6
 _RIVALS = 5
 # Hypotheses of each pair that are tried in triangles.
 _MOST_IN_LOOPS = 3
+_MOST_LOOPS = 12
+# Hypotheses between two parts from which the best transform is chosen; all have a vote.
+_MOST_CANDIDATES = 40
 
 Array = NDArray[np.float64]
 
@@ -46,6 +49,7 @@ class Ambiguous:
         source: fragment.
         target: fragment.
         transforms: (h, 4, 4), each `T_target_source`.
+        inverses: (h, 4, 4), each `T_source_target`.
         probabilities: (h,), that each is right.
         doubt: probability that none is.
     """
@@ -53,6 +57,7 @@ class Ambiguous:
     source: FragmentId
     target: FragmentId
     transforms: Array
+    inverses: Array
     probabilities: Array
     doubt: float
 
@@ -66,14 +71,17 @@ class Ambiguous:
         if m.manual:
             probabilities[0] = 1.0
         doubt = max(1 - float(probabilities.sum()), _NO_DOUBT if m.manual else _LEAST_DOUBT)
-        return cls(
-            m.pair.source, m.pair.target, np.array([t for _, t in listed]), probabilities, doubt
-        )
+        transforms = np.array([t for _, t in listed])
+        inverses = np.array([inverse(t) for t in transforms])
+        return cls(m.pair.source, m.pair.target, transforms, inverses, probabilities, doubt)
 
     def towards(self, id_: FragmentId) -> Array:
-        """The likeliest transforms (h, 4, 4) into the frame of one of the two fragments."""
-        transforms = self.transforms[:_MOST_IN_LOOPS]
-        return transforms if id_ == self.target else np.asarray(np.linalg.inv(transforms))
+        """Transforms (h, 4, 4) into the frame of one of the two fragments from the other's."""
+        return self.transforms if id_ == self.target else self.inverses
+
+    def other(self, id_: FragmentId) -> FragmentId:
+        """The fragment that is not this one."""
+        return self.source if id_ == self.target else self.target
 
 
 def loop_gains(pairs: Sequence[Ambiguous], close: Closeness) -> list[Array]:
@@ -92,13 +100,20 @@ def _loop_gain(
     pair: Ambiguous, beside: dict[FragmentId, dict[FragmentId, Ambiguous]], close: Closeness
 ) -> Array:
     gains = np.zeros(len(pair.probabilities))
-    thirds = sorted(beside[pair.source].keys() & beside[pair.target].keys())
+    known, across = beside[pair.source], beside[pair.target]
+    thirds = sorted(
+        known.keys() & across.keys(),
+        key=lambda third: (-known[third].probabilities[0] * across[third].probabilities[0], third),
+    )
     paths: list[Array] = []
     sizes: list[float] = []
     counts: list[int] = []
-    for third in thirds:
-        first, second = beside[pair.source][third], beside[pair.target][third]
-        way = second.towards(pair.target)[:, None] @ first.towards(third)[None]
+    for third in thirds[:_MOST_LOOPS]:
+        first, second = known[third], across[third]
+        way = (
+            second.towards(pair.target)[:_MOST_IN_LOOPS, None]
+            @ first.towards(third)[None, :_MOST_IN_LOOPS]
+        )
         likely = np.outer(
             second.probabilities[:_MOST_IN_LOOPS], first.probabilities[:_MOST_IN_LOOPS]
         )
@@ -223,44 +238,49 @@ def _link(
         close: when two poses agree.
         gains_of_loops: of the hypotheses of the only pair of two fragments; None: not counted.
     """
-    placed: list[Transform] = []
+    placed: list[Array] = []
     ends: list[Transform] = []
-    weights: list[float] = []
-    starts: list[int] = []
     for pair in pairs:
-        starts.append(len(weights))
-        there = pair.source if pair.source in other else pair.target
-        for transform, probability in zip(pair.transforms, pair.probabilities, strict=True):
-            placed.append(
-                one[pair.target] @ transform
-                if there == pair.source
-                else one[pair.source] @ inverse(transform)
-            )
-            ends.append(other[there])
-            weights.append(math.log(probability * _PLACES))
-    poses, own = np.array(placed), np.array(ends)
-    transforms = poses @ np.linalg.inv(own)
-    agree = _agreement(transforms, poses, own, close)
+        here = pair.target if pair.target in one else pair.source
+        placed.append(one[here] @ pair.towards(here))
+        ends.append(other[pair.other(here)])
+    counts = [len(each) for each in placed]
+    poses, own = np.concatenate(placed), np.repeat(np.array(ends), counts, axis=0)
+    backward = np.array([inverse(end) for end in ends])
+    transforms = poses @ np.repeat(backward, counts, axis=0)
+    weights = np.log(np.concatenate([pair.probabilities for pair in pairs]) * _PLACES)
+    candidates = np.argsort(-weights, kind="stable")[:_MOST_CANDIDATES]
+    agree = _agreement(transforms[candidates], transforms, poses, own, close)
     doubts = np.log([pair.doubt for pair in pairs])
-    gains = np.where(agree, np.array(weights), -np.inf)
-    per_pair = np.maximum.reduceat(gains, starts, axis=1)
-    scores = np.where(np.isfinite(per_pair), per_pair, doubts).sum(axis=1) - math.log(_PLACES)
-    if gains_of_loops is not None and len(gains_of_loops) == len(scores):
-        scores = scores + gains_of_loops
+    starts = np.cumsum([0, *counts[:-1]])
+    gains = np.maximum.reduceat(np.where(agree, weights, -np.inf), starts, axis=1)
+    scores = np.where(np.isfinite(gains), gains, doubts).sum(axis=1) - math.log(_PLACES)
+    if gains_of_loops is not None and len(pairs) == 1:
+        scores = scores + gains_of_loops[candidates]
     best = int(np.argmax(scores))
     return _Link(
-        _odds(scores, agree, best, float(doubts.sum())),
-        _mean(transforms[agree[best]], np.exp(np.array(weights)[agree[best]])),
+        _odds(scores, agree[:, candidates], best, float(doubts.sum())),
+        _mean(transforms[agree[best]], np.exp(weights[agree[best]])),
     )
 
 
-def _agreement(transforms: Array, poses: Array, own: Array, close: Closeness) -> NDArray[np.bool_]:
-    """Which transforms (rows) put the fragments of which hypotheses (columns) where these do."""
-    moved = np.einsum("kij,hj->khi", transforms[:, :3, :3], own[:, :3, 3])
-    moved += transforms[:, None, :3, 3]
-    near = np.linalg.norm(moved - poses[None, :, :3, 3], axis=2) < close.translation
-    turns = transforms[:, :3, :3].reshape(-1, 9)
-    cosine = (np.einsum("ik,jk->ij", turns, turns) - 1) / 2
+def _agreement(
+    candidates: Array, transforms: Array, poses: Array, own: Array, close: Closeness
+) -> NDArray[np.bool_]:
+    """Which candidates (rows) put the fragments of which hypotheses (columns) where these do.
+
+    Args:
+        candidates: (k, 4, 4) from the frame of a part.
+        transforms: (h, 4, 4), the same of all hypotheses.
+        poses: (h, 4, 4) of each hypothesis' fragment, by the hypothesis.
+        own: (h, 4, 4) of each hypothesis' fragment, in the part.
+        close: when they agree.
+    """
+    moved = np.einsum("kij,hj->khi", candidates[:, :3, :3], own[:, :3, 3])
+    moved += candidates[:, None, :3, 3]
+    near = ((moved - poses[None, :, :3, 3]) ** 2).sum(axis=2) < close.translation**2
+    turns = candidates[:, :3, :3].reshape(-1, 9), transforms[:, :3, :3].reshape(-1, 9)
+    cosine = (np.einsum("ik,jk->ij", *turns) - 1) / 2
     return np.asarray(near & (cosine > math.cos(close.rotation)))
 
 

@@ -2,8 +2,9 @@
 
 The optimiser is Open3D's. Two things are ours, because without them it fails on graphs of
 aliased buildings (METHODS): the start, from parts of the map that are joined by the evidence of
-all hypotheses, since the line process judges the edges on the initial poses; and the check of every residual afterwards, since
-Open3D's rotation residual is the sine of the angle, which is zero for a flip by 180 degrees.
+all hypotheses, since the line process judges the edges on the initial poses; and the check of
+every residual afterwards, since Open3D's rotation residual is the sine of the angle, which is
+zero for a flip by 180 degrees.
 """
 
 from __future__ import annotations
