@@ -14,7 +14,6 @@ from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.pose_graph import EdgeKind, EdgeStatus, Measurement, NodeStatus
 from nss_ros.multiway.synchronizer import load_synchronizer, synchronizer_names
 
-
 _STARTS = ["evidence", "triangles", "confidence"]
 
 
