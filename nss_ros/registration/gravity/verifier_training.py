@@ -17,7 +17,7 @@ from nss_ros.registration.gravity.refinement import SIGNS, Candidate
 from nss_ros.registration.gravity.verifier import Verifier
 
 _TRANSLATION, _ROTATION = 0.2, np.radians(10)
-_STEPS = 150
+_STEPS = 300
 _LEARNING_RATE = 1e-2
 _WEIGHT_DECAY = 1.0
 
