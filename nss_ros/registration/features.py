@@ -20,43 +20,58 @@ _VARIATION_NEIGHBOURS = 50
 
 
 @dataclass(frozen=True, slots=True)
-class FpfhFeatures:
-    """What the FPFH methods keep of a fragment.
+class FragmentSurface:
+    """What alignment needs of a fragment.
 
     Attributes:
         id: the fragment.
         gravity_aligned: the sensor was levelled.
         points: (n, 3) float32, voxelised for refinement, metres, sensor frame.
         normals: (n, 3) float32, unit, of `points`.
-        keypoints: (k, 3) float32, voxelised for description, metres, sensor frame.
-        keypoint_normals: (k, 3) float32, unit.
-        descriptors: (k, 33) float32, integers.
     """
 
     id: FragmentId
     gravity_aligned: bool
     points: Points
     normals: Points
+
+
+@dataclass(frozen=True, slots=True)
+class FpfhFeatures(FragmentSurface):
+    """What the FPFH methods keep of a fragment.
+
+    Attributes:
+        keypoints: (k, 3) float32, voxelised for description, metres, sensor frame.
+        keypoint_normals: (k, 3) float32, unit.
+        descriptors: (k, 33) float32, integers.
+    """
+
     keypoints: Points
     keypoint_normals: Points
     descriptors: NDArray[np.float32]
 
 
+def surface_of(fragment: Fragment, config: RegistrationConfig) -> FragmentSurface:
+    """The finite points of a fragment, voxelised, with normals; it may have none."""
+    points = voxelize(clean_points(fragment.points), config.voxel_size)
+    viewpoint = _viewpoint(fragment, points)
+    normals = _normals(_cloud(points), viewpoint, config.fpfh.normal_radius)
+    return FragmentSurface(fragment.id, fragment.gravity_aligned, points, normals)
+
+
 def describe(fragment: Fragment, config: RegistrationConfig) -> FpfhFeatures:
     """The features of a fragment; too few points simply give few or no keypoints."""
     fpfh = config.fpfh
-    points = voxelize(clean_points(fragment.points), config.voxel_size)
-    keypoints = voxelize(points, fpfh.voxel_size)
-    viewpoint = _viewpoint(fragment, points)
-    normals = _normals(_cloud(points), viewpoint, fpfh.normal_radius)
+    surface = surface_of(fragment, config)
+    keypoints = voxelize(surface.points, fpfh.voxel_size)
     cloud = _cloud(keypoints)
-    keypoint_normals = _normals(cloud, viewpoint, fpfh.normal_radius)
+    keypoint_normals = _normals(cloud, _viewpoint(fragment, surface.points), fpfh.normal_radius)
     chosen = _least_flat(cloud, fpfh.feature_radius, fpfh.max_keypoints)
     return FpfhFeatures(
-        fragment.id,
-        fragment.gravity_aligned,
-        points,
-        normals,
+        surface.id,
+        surface.gravity_aligned,
+        surface.points,
+        surface.normals,
         keypoints[chosen],
         keypoint_normals[chosen],
         _descriptors(cloud, fpfh.feature_radius)[chosen],
