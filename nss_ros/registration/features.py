@@ -54,7 +54,7 @@ class FpfhFeatures(FragmentSurface):
 def surface_of(fragment: Fragment, config: RegistrationConfig) -> FragmentSurface:
     """The finite points of a fragment, voxelised, with normals; it may have none."""
     points = voxelize(clean_points(fragment.points), config.voxel_size)
-    viewpoint = _viewpoint(fragment, points)
+    viewpoint = viewpoint_of(fragment.gravity_aligned, points)
     normals = _normals(_cloud(points), viewpoint, config.fpfh.normal_radius)
     return FragmentSurface(fragment.id, fragment.gravity_aligned, points, normals)
 
@@ -63,9 +63,10 @@ def describe(fragment: Fragment, config: RegistrationConfig) -> FpfhFeatures:
     """The features of a fragment; too few points simply give few or no keypoints."""
     fpfh = config.fpfh
     surface = surface_of(fragment, config)
+    viewpoint = viewpoint_of(fragment.gravity_aligned, surface.points)
     keypoints = voxelize(surface.points, fpfh.voxel_size)
     cloud = _cloud(keypoints)
-    keypoint_normals = _normals(cloud, _viewpoint(fragment, surface.points), fpfh.normal_radius)
+    keypoint_normals = _normals(cloud, viewpoint, fpfh.normal_radius)
     chosen = _least_flat(cloud, fpfh.feature_radius, fpfh.max_keypoints)
     return FpfhFeatures(
         surface.id,
@@ -88,14 +89,14 @@ def surface_normals(points: Points, radius: float) -> Points:
     return _normals(_cloud(points), np.zeros(3), radius)
 
 
-def _viewpoint(fragment: Fragment, points: Points) -> NDArray[np.float64]:
-    """A point that all surfaces face.
+def viewpoint_of(gravity_aligned: bool, points: Points) -> NDArray[np.float64]:
+    """A point (3,) that all surfaces of a fragment with points (n, 3) face.
 
     A levelled fragment is a tripod scan in its sensor frame, so that is the origin. The frame of
     any other may lie anywhere (RGB-D benchmarks re-express their fragments); the centroid of a
     scanned interior mostly lies in free space, and does not depend on the frame.
     """
-    if fragment.gravity_aligned or len(points) == 0:
+    if gravity_aligned or len(points) == 0:
         return np.zeros(3)
     return np.asarray(points.astype(np.float64).mean(axis=0))
 
