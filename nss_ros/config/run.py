@@ -91,7 +91,7 @@ class KissMatcherConfig(Section):
         5000, gt=0, description="Matches kept for pruning, the most distinctive"
     )
     min_inliers: int = Field(
-        5, ge=0, description="Fewest matches that agree with the transform of an estimate"
+        0, ge=0, description="Fewest matches that must agree with a transform before it is refined"
     )
 
 
