@@ -161,6 +161,11 @@ def load_library() -> Any:
 
 
 def _matcher(settings: KissMatcherConfig, level: bool) -> Any:
+    """A matcher that solves for yaw and translation, or for all.
+
+    The library's solver of yaw keeps the tolerance of the first that a process makes, so voxel
+    sizes are only to be compared in processes of their own.
+    """
     library = load_library()
     return library.KISSMatcher(
         library.KISSMatcherConfig(
