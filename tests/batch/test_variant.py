@@ -14,6 +14,7 @@ from nss_ros.batch.variant import Variant, run_variant, run_variants
 from nss_ros.batch.variant_table import variant_table, variant_tables
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.score import score_log
+from nss_ros.benchmark.table import bin_table
 from nss_ros.config import load_config
 from nss_ros.dataset.folder import PAIRS_NAME, DatasetFolder
 from nss_ros.dataset.pairs import read_pairs
@@ -35,8 +36,8 @@ def sample(dataset_path):
     return PairSample(table.take(np.flatnonzero(table.selected & (table.overlap_ratio >= 0.1))))
 
 
-def ran(dataset, sample, *overrides, method="fpfh_ransac", **options):
-    variant = Variant(method, overrides, common=QUICK, **options)
+def ran(dataset, sample, *overrides, **options):
+    variant = Variant("fpfh_ransac", overrides, common=QUICK, **options)
     return run_variant(dataset.path, sample, variant, FEW, workers=1)
 
 
@@ -50,14 +51,14 @@ def test_answers_are_those_of_nss_benchmark(dataset, sample, plain, tmp_path):
     choice = Choice(("fpfh_ransac",), (BatchSplit.ALL,), (), PairChoice.SELECTED)
     made = run_benchmark(dataset, tmp_path / "out", choice, load_config(None, QUICK), Workforce(1))
     expected = score_log(read_log(made.logs[0].path), FEW)
-    assert result.score.overall.pairwise.all.edges == len(sample.overlapping) > 10
+    assert result.score.overall.pairwise.all.edges == len(sample.overlapping) > 5
     for kind in ("same_stage", "different_stage"):
         ours, theirs = (getattr(each.overall.pairwise, kind) for each in (result.score, expected))
         assert (ours.recall, ours.answered) == (theirs.recall, theirs.answered)
         for name in ("rte_answered", "rre_answered"):
             assert getattr(ours, name) == pytest.approx(getattr(theirs, name), nan_ok=True)
-    assert result.score.overlap_bins == expected.overlap_bins
-    assert result.score.change_bins == expected.change_bins
+    for by in ("overlap", "change"):
+        assert bin_table([result.score], by).to_csv() == bin_table([expected], by).to_csv()
     assert result.score.overall.pairwise.all.recall > 0
     assert result.timing.pairs == len(sample.overlapping)
     assert result.timing.alone > result.timing.register > 0
@@ -89,14 +90,15 @@ def test_pairs_that_do_not_overlap_are_judged_by_the_probability_alone(dataset):
     # This site is so small that pairs that overlap less stand for those apart.
     apart = sample_apart(dataset.fragment_ids(), few, 4, seed=0)
     both = PairSample(few, apart)
-    result = ran(dataset, both, method="fpfh_fgr")
+    lenient = ("registration.min_inlier_ratio=0.0", "registration.max_tilt=180.0")
+    result = ran(dataset, both, *lenient)
     assert result.score.pairs == len(few) + 4
     assert result.score.overall.pairwise.all.edges == len(few)
     overlap = result.score.overlap
     assert overlap.unknown == 0
     assert overlap.all is not None
     assert overlap.all.overlapping <= len(few)
-    without = ran(dataset, PairSample(few), method="fpfh_fgr")
+    without = ran(dataset, PairSample(few), *lenient)
     assert math.isnan(without.score.overlap.all.auroc)
 
 
