@@ -40,6 +40,7 @@ setup(
         "setuptools",
         "jinja2",
         "joblib",
+        "kiss-matcher",
         "matplotlib",
         "mcap",
         "numpy",
@@ -53,6 +54,7 @@ setup(
         "scikit-learn",
         "scipy",
         "shapely",
+        "small-gicp",
         "torch",
         "trimesh",
         "typer>=0.12.4",
@@ -77,6 +79,7 @@ setup(
             "fpfh_ransac = nss_ros.registration.fpfh:FpfhRansac",
             "gravity = nss_ros.registration.gravity.method:Gravity",
             "fpfh_fgr = nss_ros.registration.fpfh:FpfhFgr",
+            "kiss_matcher = nss_ros.registration.kiss_matcher:KissMatcher",
         ],
         "nss_ros.synchronizers": [
             "choi = nss_ros.multiway.choi:Choi",

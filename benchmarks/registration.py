@@ -1,127 +1,156 @@
-"""Seconds and recall per pair of each registration method on one bag, in one process.
+"""Registration methods, and variants of them, on the same pairs of a dataset.
 
-    ./nss python benchmarks/registration.py [bag] [--pairs N] [--threads N]
+    ./nss simulate demo -o DATASET && ./nss pairs DATASET
+    ./nss python benchmarks/registration.py DATASET [--method NAME ...] [--split NAME] [--pairs N]
+    ./nss python benchmarks/registration.py DATASET --method gravity --ablations
+    ./nss python benchmarks/registration.py DATASET --tilt 1 2 3 --noise 0.01 0.03
 
-Recall counts pairs within 10 degrees and 0.2 m of the ground truth, failures included; features
-are computed once per fragment and timed apart.
+One row per method and variant: recall with 95 % bootstrap intervals, seconds of a pair with the
+features of its fragments cached and not, most memory of a worker process, calibration of the
+confidence, and how well the overlap probability tells pairs that overlap from as many that do
+not; then recall by overlap ratio and by temporal change ratio. All see the same pairs and seeds.
+
+`--vary METHOD:SETTING=A,B` adds a variant of a method for each value, `--ablations` those in
+ABLATIONS, `--tilt` and `--noise` each method on fragments out of level by so many degrees, and
+with ranges that are off by a standard deviation of so many metres.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-import time
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-    from nss_ros.geometry import Transform
+    from collections.abc import Iterator, Sequence
 
-BAG = Path(__file__).parents[1] / "bags" / "three_stages"
+    from nss_ros.batch.pair_sample import PairSample
+    from nss_ros.batch.variant import Variant, VariantResult
 
-
-class Answer(NamedTuple):
-    """What became of one pair."""
-
-    same_stage: bool
-    right: bool
-    failed: bool
-    seconds: float
+ABLATIONS = (
+    "gravity:registration.gravity.hypotheses=6,12,48",
+    "gravity:registration.gravity.alignments=1,4,16",
+    "kiss_matcher:registration.kiss_matcher.yaw_only=false",
+    "fpfh_ransac:registration.fpfh.use_gravity=false",
+)
 
 
 def main() -> None:
-    """Measure and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("bag", nargs="?", type=Path, default=BAG)
-    parser.add_argument("--pairs", type=int, help="take this many pairs, evenly from all")
-    parser.add_argument("--threads", type=int, default=1, help="threads of each library")
-    arguments = parser.parse_args()
-    for library in ("OMP", "OPENBLAS", "MKL"):
-        os.environ[f"{library}_NUM_THREADS"] = str(arguments.threads)
-    measure(arguments.bag, arguments.pairs)
+    """Measure and print tables."""
+    arguments = parser().parse_args()
 
-
-def measure(bag: Path, count: int | None) -> None:
-    """Register a bag's pairs with every installed method and print a table."""
-    # The libraries read their thread counts when they load, so after these are set.
     from rich.console import Console
-    from rich.table import Table
 
-    from nss_ros.bag import read_log
-    from nss_ros.registration.method import method_names
+    from nss_ros.cli.output import print_json
+    from nss_ros.cli.table_format import TableFormat, print_tables
+    from nss_ros.errors import NssError
 
-    log = read_log(bag)
-    truth = {edge.pair: edge.T_target_source for graph in log.ground_truth for edge in graph.edges}
-    pairs = [pair for pair in log.pairs if pair in truth]
-    pairs = pairs[:: max(1, len(pairs) // count)][:count] if count else pairs
-    console = Console()
-    same = sum(pair.same_stage for pair in pairs)
-    table = Table(
-        title=f"Registration of {bag.name}: {same} same-stage, {len(pairs) - same} different-stage "
-        "pairs",
-        caption="seconds per fragment and per pair; recall in percent",
-    )
-    columns = ("s/scan", "s/pair", "slowest", "failed", "same", "different", "all")
-    table.add_column("method", no_wrap=True)
-    for column in columns:
-        table.add_column(column, justify="right")
-    for name in method_names():
-        seconds, answers = _answers(name, log.fragments, pairs, truth)
-        per_pair = [answer.seconds for answer in answers]
-        table.add_row(
-            name,
-            f"{seconds:.2f}",
-            f"{sum(per_pair) / len(per_pair):.2f}",
-            f"{max(per_pair):.2f}",
-            f"{sum(answer.failed for answer in answers)}",
-            _recall([a for a in answers if a.same_stage]),
-            _recall([a for a in answers if not a.same_stage]),
-            _recall(answers),
-        )
-    console.print(table)
-    console.print("./nss python " + " ".join(sys.argv))
+    try:
+        results = measure(arguments)
+    except NssError as error:
+        sys.exit(f"error: {error}")
+    if arguments.json:
+        print_json([asdict(result) for result in results])
+        return
+    from nss_ros.batch.variant_table import variant_tables
+
+    form = TableFormat.MARKDOWN if arguments.markdown else TableFormat.RICH
+    print_tables(variant_tables(results), [], form)
+    Console(stderr=True).print("./nss python " + " ".join(sys.argv), highlight=False)
 
 
-def _answers(
-    name: str,
-    fragments: dict[FragmentId, Fragment],
-    pairs: list[FragmentPair],
-    truth: dict[FragmentPair, Transform],
-) -> tuple[float, list[Answer]]:
-    """Seconds per fragment, and the answers to all pairs, of one method."""
-    import open3d  # noqa: F401  # loading it is no part of the first fragment
+def parser() -> argparse.ArgumentParser:
+    """What the command line takes."""
+    result = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    result.add_argument("dataset", type=Path, help="with pairs, from 'nss pairs'")
+    result.add_argument("--method", action="append", default=[], help="default: all installed")
+    result.add_argument("--split", default="all", help="its test pairs; default: all pairs")
+    result.add_argument("--pairs", type=int, default=200, help="most pairs of each kind")
+    result.add_argument("--apart", type=int, help="pairs that do not overlap; default: as --pairs")
+    result.add_argument("--seed", type=int, default=0, help="of the sample, and of all variants")
+    result.add_argument("--workers", type=int, default=1, help="processes")
+    result.add_argument("--set", action="append", default=[], help="section.name=value, for all")
+    result.add_argument("--vary", action="append", default=[], help="METHOD:SETTING=A,B")
+    result.add_argument("--ablations", action="store_true", help="also vary as ABLATIONS say")
+    result.add_argument("--tilt", type=float, nargs="+", default=[], help="degrees")
+    result.add_argument("--noise", type=float, nargs="+", default=[], help="metres")
+    form = result.add_mutually_exclusive_group()
+    form.add_argument("--markdown", action="store_true", help="print tables as Markdown")
+    form.add_argument("--json", action="store_true", help="print all figures as JSON")
+    return result
 
-    from nss_ros.benchmark.metrics import rotation_error, successes, translation_error
-    from nss_ros.config import RegistrationConfig
-    from nss_ros.registration.method import load_method
-    from nss_ros.registration.pair import register_pair
 
-    config = RegistrationConfig(method=name)
-    method = load_method(config)
-    needed = sorted({id_ for pair in pairs for id_ in (pair.source, pair.target)})
-    begin = time.perf_counter()
-    features = {id_: method.prepare(fragments[id_]) for id_ in needed}
-    seconds = (time.perf_counter() - begin) / len(needed)
-    answers = []
-    for pair in pairs:
-        result = register_pair(method, features[pair.source], features[pair.target], pair, config)
-        right = result.ok and bool(
-            successes(
-                rotation_error(truth[pair], result.T_target_source),
-                translation_error(truth[pair], result.T_target_source),
+def measure(arguments: argparse.Namespace) -> list[VariantResult]:
+    """The results of all variants, in the order of the table."""
+    from nss_ros.batch.variant import run_variants
+    from nss_ros.benchmark.bootstrap import Bootstrap
+    from nss_ros.cli.progress import progress_bar
+
+    variants = list(chosen_variants(arguments))
+    sample = chosen_pairs(arguments)
+    with progress_bar(quiet=arguments.json) as bar:
+        task = bar.add_task("variants", total=len(variants))
+        return list(
+            run_variants(
+                arguments.dataset,
+                sample,
+                variants,
+                Bootstrap(seed=arguments.seed),
+                arguments.workers,
+                lambda done: bar.update(task, completed=done),
             )
         )
-        answers.append(Answer(pair.same_stage, right, not result.ok, result.compute_time))
-    return seconds, answers
 
 
-def _recall(answers: list[Answer]) -> str:
-    if not answers:
-        return "-"
-    right = sum(answer.right for answer in answers)
-    return f"{100 * right / len(answers):.1f}"
+def chosen_pairs(arguments: argparse.Namespace) -> PairSample:
+    """The pairs that all variants register."""
+    from nss_ros.batch.pair_sample import PairSample, sample_apart, sample_overlapping
+    from nss_ros.batch.plan import BatchSplit, PairChoice, planned
+    from nss_ros.benchmark.classification import MIN_OVERLAP
+    from nss_ros.dataset.folder import PAIRS_NAME, DatasetFolder
+    from nss_ros.dataset.pairs import read_pairs
+
+    dataset = DatasetFolder(arguments.dataset)
+    split = BatchSplit(arguments.split)
+    table = planned(dataset, [split], PairChoice.OVERLAPPING, MIN_OVERLAP).splits[split]
+    apart = arguments.pairs if arguments.apart is None else arguments.apart
+    return PairSample(
+        sample_overlapping(table, arguments.pairs, arguments.seed),
+        sample_apart(
+            dataset.fragment_ids(), read_pairs(dataset.path / PAIRS_NAME), apart, arguments.seed
+        ),
+    )
+
+
+def chosen_variants(arguments: argparse.Namespace) -> Iterator[Variant]:
+    """Each method as it is, with other settings, and on perturbed fragments."""
+    from nss_ros.batch.variant import Variant
+    from nss_ros.dataset.perturbation import Perturbation
+    from nss_ros.registration.method import method_names
+
+    common = (f"registration.seed={arguments.seed}", *arguments.set)
+    wanted = [*arguments.vary, *(ABLATIONS if arguments.ablations else ())]
+    perturbations = [Perturbation(tilt=tilt, seed=arguments.seed) for tilt in arguments.tilt]
+    perturbations += [Perturbation(range_noise=m, seed=arguments.seed) for m in arguments.noise]
+    for method in arguments.method or method_names():
+        yield Variant(method, common=common)
+        for override in overrides_of(method, wanted):
+            yield Variant(method, (override,), common=common)
+        for perturbation in perturbations:
+            yield Variant(method, perturbation=perturbation, common=common)
+
+
+def overrides_of(method: str, wanted: Sequence[str]) -> Iterator[str]:
+    """The overrides of a method among `METHOD:SETTING=A,B`, one for each value."""
+    for each in wanted:
+        name, _, rest = each.partition(":")
+        setting, separator, values = rest.partition("=")
+        if not separator:
+            sys.exit(f"error: --vary {each}: give METHOD:SETTING=A,B.")
+        if name == method:
+            yield from (f"{setting}={value}" for value in values.split(","))
 
 
 if __name__ == "__main__":

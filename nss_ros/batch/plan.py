@@ -71,7 +71,7 @@ def planned(
             f"{dataset.path} is not complete: finish it with the 'nss simulate' that began it."
         )
     tables = {split: _table(dataset, split, choice, min_overlap) for split in splits}
-    pairs = _in_tiles({pair for table in tables.values() for pair in table.pairs})
+    pairs = in_tiles({pair for table in tables.values() for pair in table.pairs})
     known = set(dataset.fragment_ids())
     for pair in pairs:
         unknown = {pair.source, pair.target} - known
@@ -88,7 +88,8 @@ def fragments_of(pairs: PairTable) -> list[FragmentId]:
     return sorted({*pairs.source.tolist(), *pairs.target.tolist()})
 
 
-def _in_tiles(pairs: set[FragmentPair]) -> tuple[FragmentPair, ...]:
+def in_tiles(pairs: set[FragmentPair]) -> tuple[FragmentPair, ...]:
+    """Pairs in an order such that neighbours share fragments."""
     ids = sorted({id_ for pair in pairs for id_ in (pair.source, pair.target)})
     tile = {id_: number // _TILE for number, id_ in enumerate(ids)}
     return tuple(sorted(pairs, key=lambda pair: (tile[pair.source], tile[pair.target], pair)))

@@ -23,6 +23,7 @@ from nss_ros.batch.mapping import AreaTask, area_map, joined_maps
 from nss_ros.batch.plan import BatchSplit, PairChoice, Plan, fragments_of, planned
 from nss_ros.batch.registering import Report, Workforce, register_missing
 from nss_ros.batch.run_log import write_log
+from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
 from nss_ros.dataset.bag_export import dataset_metadata, export_fragments, ground_truth_graph
@@ -57,29 +58,6 @@ class Choice:
     synchronizers: Sequence[str]
     pairs: PairChoice = PairChoice.SELECTED
     training: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """Seconds of a method.
-
-    Attributes:
-        method: registered name.
-        fragments: whose features were timed.
-        prepare: mean seconds of a fragment's features; NaN of none.
-        pairs: answered.
-        failed: of these, pairs without a transform.
-        register: mean seconds of a pair, features not included.
-        median: median seconds of a pair.
-    """
-
-    method: str
-    fragments: int
-    prepare: float
-    pairs: int
-    failed: int
-    register: float
-    median: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +115,9 @@ def run_benchmark(
         MethodError: a method is not installed, or lacks something.
         FormatError: a file cannot be read or written.
     """
-    registrations = {name: _registration(config, name) for name in dict.fromkeys(choice.methods)}
+    registrations = {
+        name: registration_config(config, name) for name in dict.fromkeys(choice.methods)
+    }
     for registration in registrations.values():
         load_method(registration)  # refuses before anything is done
     for name in choice.synchronizers:
@@ -197,8 +177,11 @@ class _Writer:
                 self._write_log(log, map_, common)
                 report("logs", len(logs) - len(missing) + number, len(logs))
         written = tuple(log for log in logs if log.path.exists())
-        methods = dict.fromkeys(self.choice.methods)
-        return BatchResult(written, tuple(map(self._timing, methods)), tuple(problems))
+        timings = (
+            timing_of(self.journal, method, self.plan.pairs)
+            for method in dict.fromkeys(self.choice.methods)
+        )
+        return BatchResult(written, tuple(timings), tuple(problems))
 
     def _logs(self) -> list[RunLog]:
         return [
@@ -262,7 +245,7 @@ class _Writer:
             "benchmark.seed": str(self.config.registration.seed),
             "config": config.model_dump_json(),
         }
-        timing = self._timing(log.method)
+        timing = timing_of(self.journal, log.method, self.plan.pairs)
         own |= {
             "benchmark.prepare_seconds": repr(timing.prepare),
             "benchmark.register_seconds": repr(timing.register),
@@ -286,21 +269,6 @@ class _Writer:
             "bag_0_sha256": bag_digest(bag),
         }
 
-    def _timing(self, method: str) -> Timing:
-        wanted = self.plan.pairs
-        results = [self.journal.of(method)[pair].result for pair in wanted]
-        prepare = list(self.journal.prepare_seconds.get(method, {}).values())
-        seconds = [result.compute_time for result in results]
-        return Timing(
-            method,
-            len(prepare),
-            float(np.mean(prepare)) if prepare else float("nan"),
-            len(results),
-            sum(not result.ok for result in results),
-            float(np.mean(seconds)),
-            float(np.median(seconds)),
-        )
-
 
 def _file_name(split: str, method: str, synchronizer: str) -> str:
     return "-".join((split, method, synchronizer or _PAIRWISE)).replace("/", "_")
@@ -318,7 +286,8 @@ def _only_of(graph: PoseGraph, pairs: PairTable) -> PoseGraph:
     return PoseGraph(nodes, graph.edges, graph.name)
 
 
-def _registration(config: NssConfig, method: str) -> RegistrationConfig:
+def registration_config(config: NssConfig, method: str) -> RegistrationConfig:
+    """The settings of a method, without those of the node."""
     values = config.registration.model_dump(include=set(RegistrationConfig.model_fields))
     return RegistrationConfig.model_validate(values | {"method": method})
 
@@ -330,7 +299,7 @@ def _multiway(config: NssConfig, synchronizer: str) -> MultiwayConfig:
 
 def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict[str, Any]:
     """All that results depend on; which methods, splits and synchronizers may grow."""
-    registration = _registration(config, "").model_dump(mode="json")
+    registration = registration_config(config, "").model_dump(mode="json")
     multiway = _multiway(config, "").model_dump(mode="json")
     del registration["method"], multiway["synchronizer"]
     plugins = [find_method(name) for name in choice.methods]

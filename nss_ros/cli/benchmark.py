@@ -14,7 +14,8 @@ from rich.progress import TaskID
 from nss_ros.bag import read_log, with_source_points
 from nss_ros.batch.plan import BatchSplit, PairChoice
 from nss_ros.batch.registering import Workforce
-from nss_ros.batch.run import BatchResult, Choice, RunLog, Timing, run_benchmark
+from nss_ros.batch.run import BatchResult, Choice, RunLog, run_benchmark
+from nss_ros.batch.timing import Timing
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.evaluation import evaluate
 from nss_ros.benchmark.score import LogScore, summarize

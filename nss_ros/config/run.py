@@ -73,6 +73,25 @@ class GravityConfig(Section):
     )
 
 
+class KissMatcherConfig(Section):
+    """KISS-Matcher (Lim et al. 2025)."""
+
+    voxel_size: float = Field(
+        0.2,
+        ge=0.005,
+        description="Voxel size of the points that are described, metres; radii of descriptors and tolerances grow with it",
+    )
+    yaw_only: bool = Field(
+        True, description="Between two levelled fragments, solve for yaw and translation only"
+    )
+    max_matches: int = Field(
+        5000, gt=0, description="Matches kept for pruning, the most distinctive"
+    )
+    min_inliers: int = Field(
+        0, ge=0, description="Fewest matches that must agree with a transform before it is refined"
+    )
+
+
 class IcpConfig(Section):
     """Point-to-plane refinement."""
 
@@ -99,6 +118,7 @@ class RegistrationConfig(Section):
     )
     gravity: GravityConfig = GravityConfig()
     fpfh: FpfhConfig = FpfhConfig()
+    kiss_matcher: KissMatcherConfig = KissMatcherConfig()
     icp: IcpConfig = IcpConfig()
 
 

@@ -20,43 +20,59 @@ _VARIATION_NEIGHBOURS = 50
 
 
 @dataclass(frozen=True, slots=True)
-class FpfhFeatures:
-    """What the FPFH methods keep of a fragment.
+class FragmentSurface:
+    """What alignment needs of a fragment.
 
     Attributes:
         id: the fragment.
         gravity_aligned: the sensor was levelled.
         points: (n, 3) float32, voxelised for refinement, metres, sensor frame.
         normals: (n, 3) float32, unit, of `points`.
-        keypoints: (k, 3) float32, voxelised for description, metres, sensor frame.
-        keypoint_normals: (k, 3) float32, unit.
-        descriptors: (k, 33) float32, integers.
     """
 
     id: FragmentId
     gravity_aligned: bool
     points: Points
     normals: Points
+
+
+@dataclass(frozen=True, slots=True)
+class FpfhFeatures(FragmentSurface):
+    """What the FPFH methods keep of a fragment.
+
+    Attributes:
+        keypoints: (k, 3) float32, voxelised for description, metres, sensor frame.
+        keypoint_normals: (k, 3) float32, unit.
+        descriptors: (k, 33) float32, integers.
+    """
+
     keypoints: Points
     keypoint_normals: Points
     descriptors: NDArray[np.float32]
 
 
+def surface_of(fragment: Fragment, config: RegistrationConfig) -> FragmentSurface:
+    """The finite points of a fragment, voxelised, with normals; it may have none."""
+    points = voxelize(clean_points(fragment.points), config.voxel_size)
+    viewpoint = viewpoint_of(fragment.gravity_aligned, points)
+    normals = _normals(_cloud(points), viewpoint, config.fpfh.normal_radius)
+    return FragmentSurface(fragment.id, fragment.gravity_aligned, points, normals)
+
+
 def describe(fragment: Fragment, config: RegistrationConfig) -> FpfhFeatures:
     """The features of a fragment; too few points simply give few or no keypoints."""
     fpfh = config.fpfh
-    points = voxelize(clean_points(fragment.points), config.voxel_size)
-    keypoints = voxelize(points, fpfh.voxel_size)
-    viewpoint = _viewpoint(fragment, points)
-    normals = _normals(_cloud(points), viewpoint, fpfh.normal_radius)
+    surface = surface_of(fragment, config)
+    viewpoint = viewpoint_of(fragment.gravity_aligned, surface.points)
+    keypoints = voxelize(surface.points, fpfh.voxel_size)
     cloud = _cloud(keypoints)
     keypoint_normals = _normals(cloud, viewpoint, fpfh.normal_radius)
     chosen = _least_flat(cloud, fpfh.feature_radius, fpfh.max_keypoints)
     return FpfhFeatures(
-        fragment.id,
-        fragment.gravity_aligned,
-        points,
-        normals,
+        surface.id,
+        surface.gravity_aligned,
+        surface.points,
+        surface.normals,
         keypoints[chosen],
         keypoint_normals[chosen],
         _descriptors(cloud, fpfh.feature_radius)[chosen],
@@ -73,14 +89,14 @@ def surface_normals(points: Points, radius: float) -> Points:
     return _normals(_cloud(points), np.zeros(3), radius)
 
 
-def _viewpoint(fragment: Fragment, points: Points) -> NDArray[np.float64]:
-    """A point that all surfaces face.
+def viewpoint_of(gravity_aligned: bool, points: Points) -> NDArray[np.float64]:
+    """A point (3,) that all surfaces of a fragment with points (n, 3) face.
 
     A levelled fragment is a tripod scan in its sensor frame, so that is the origin. The frame of
     any other may lie anywhere (RGB-D benchmarks re-express their fragments); the centroid of a
     scanned interior mostly lies in free space, and does not depend on the frame.
     """
-    if fragment.gravity_aligned or len(points) == 0:
+    if gravity_aligned or len(points) == 0:
         return np.zeros(3)
     return np.asarray(points.astype(np.float64).mean(axis=0))
 

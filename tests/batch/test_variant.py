@@ -1,0 +1,135 @@
+"""Variants of methods: the answers of 'nss benchmark', with settings and perturbations."""
+
+import math
+
+import numpy as np
+import pytest
+
+from nss_ros.bag import read_log
+from nss_ros.batch.pair_sample import PairSample, sample_apart
+from nss_ros.batch.plan import BatchSplit, PairChoice
+from nss_ros.batch.registering import Workforce
+from nss_ros.batch.run import Choice, run_benchmark
+from nss_ros.batch.variant import Variant, run_variant, run_variants
+from nss_ros.batch.variant_table import variant_table, variant_tables
+from nss_ros.benchmark.bootstrap import Bootstrap
+from nss_ros.benchmark.score import score_log
+from nss_ros.benchmark.table import bin_table
+from nss_ros.config import load_config
+from nss_ros.dataset.folder import PAIRS_NAME, DatasetFolder
+from nss_ros.dataset.pairs import read_pairs
+from nss_ros.dataset.perturbation import Perturbation
+from nss_ros.errors import ConfigError, MethodError
+
+QUICK = (
+    "registration.fpfh.max_keypoints=300",
+    "registration.fpfh.ransac_iterations=2000",
+    "registration.fpfh.hypotheses=8",
+    "registration.icp.max_points=1000",
+)
+FEW = Bootstrap(resamplings=50)
+
+
+@pytest.fixture(scope="module")
+def sample(dataset_path):
+    table = read_pairs(dataset_path / PAIRS_NAME)
+    return PairSample(table.take(np.flatnonzero(table.selected & (table.overlap_ratio >= 0.1))))
+
+
+def ran(dataset, sample, *overrides, **options):
+    variant = Variant("fpfh_ransac", overrides, common=QUICK, **options)
+    return run_variant(dataset.path, sample, variant, FEW, workers=1)
+
+
+@pytest.fixture(scope="module")
+def plain(dataset_path, sample):
+    return ran(DatasetFolder(dataset_path), sample)
+
+
+def test_answers_are_those_of_nss_benchmark(dataset, sample, plain, tmp_path):
+    result = plain
+    choice = Choice(("fpfh_ransac",), (BatchSplit.ALL,), (), PairChoice.SELECTED)
+    made = run_benchmark(dataset, tmp_path / "out", choice, load_config(None, QUICK), Workforce(1))
+    expected = score_log(read_log(made.logs[0].path), FEW)
+    assert result.score.overall.pairwise.all.edges == len(sample.overlapping) > 5
+    for kind in ("same_stage", "different_stage"):
+        ours, theirs = (getattr(each.overall.pairwise, kind) for each in (result.score, expected))
+        assert (ours.recall, ours.answered) == (theirs.recall, theirs.answered)
+        for name in ("rte_answered", "rre_answered"):
+            assert getattr(ours, name) == pytest.approx(getattr(theirs, name), nan_ok=True)
+    for by in ("overlap", "change"):
+        assert bin_table([result.score], by).to_csv() == bin_table([expected], by).to_csv()
+    assert result.score.overall.pairwise.all.recall > 0
+    assert result.timing.pairs == len(sample.overlapping)
+    assert result.timing.alone > result.timing.register > 0
+    assert 50 < result.memory < 20_000
+
+
+def test_overrides_reach_the_method_and_its_name(dataset, sample):
+    result = ran(dataset, sample, "registration.min_inlier_ratio=1.0")
+    assert result.name == "fpfh_ransac, min_inlier_ratio=1.0"
+    assert result.timing.failed == len(sample.overlapping)
+    assert result.score.overall.pairwise.all.recall == 0
+
+
+def test_tilted_fragments_are_what_the_method_is_given(dataset, sample, plain):
+    tilted = ran(dataset, sample, perturbation=Perturbation(tilt=10.0))
+    assert tilted.name == "fpfh_ransac, tilt 10 deg"
+    # Levelled fragments that tilt against each other by more than 3 degrees are refused.
+    assert tilted.timing.failed > plain.timing.failed
+    assert tilted.score.overall.pairwise.all.recall < plain.score.overall.pairwise.all.recall
+    # Where the tilt is expected it does little harm, so ground truth went with the fragments.
+    free = ("registration.max_tilt=45.0", "registration.fpfh.use_gravity=false")
+    free_tilted = ran(dataset, sample, *free, perturbation=Perturbation(tilt=10.0))
+    assert free_tilted.score.overall.pairwise.all.recall > 0
+
+
+def test_pairs_that_do_not_overlap_are_judged_by_the_probability_alone(dataset):
+    touching = read_pairs(dataset.path / PAIRS_NAME)
+    few = touching.take(touching.overlap_ratio >= 0.5)
+    # This site is so small that pairs that overlap less stand for those apart.
+    apart = sample_apart(dataset.fragment_ids(), few, 4, seed=0)
+    both = PairSample(few, apart)
+    lenient = ("registration.min_inlier_ratio=0.0", "registration.max_tilt=180.0")
+    result = ran(dataset, both, *lenient)
+    assert result.score.pairs == len(few) + 4
+    assert result.score.overall.pairwise.all.edges == len(few)
+    overlap = result.score.overlap
+    assert overlap.unknown == 0
+    assert overlap.all is not None
+    assert overlap.all.overlapping <= len(few)
+    without = ran(dataset, PairSample(few), *lenient)
+    assert math.isnan(without.score.overlap.all.auroc)
+
+
+def test_variants_run_in_processes_of_their_own_and_in_order(dataset, sample):
+    few = PairSample(sample.overlapping.take(np.arange(3)))
+    variants = [Variant("fpfh_fgr", common=QUICK), Variant("fpfh_ransac", common=QUICK)]
+    seen = []
+    results = list(run_variants(dataset.path, few, variants, FEW, report=seen.append))
+    assert [result.name for result in results] == ["fpfh_fgr", "fpfh_ransac"]
+    assert seen == [1, 2]
+    table = variant_table(results)
+    assert [row[0] for row in table.rows] == ["fpfh_fgr", "fpfh_ransac"]
+    cells = dict(zip((column.name for column in table.columns), table.rows[0], strict=True))
+    assert cells["failed"] == results[0].timing.failed
+    assert cells["memory"] == results[0].memory
+    assert cells["recall, same"] == pytest.approx(
+        results[0].score.overall.pairwise.same_stage.recall, nan_ok=True
+    )
+    titles = [each.title for each in variant_tables(results)]
+    assert titles[1:] == ["Recall by overlap ratio", "Recall by temporal change ratio"]
+    assert "fpfh_ransac" in variant_tables(results)[1].to_markdown()
+
+
+@pytest.mark.parametrize(
+    ("variant", "error"),
+    [
+        (Variant("no_such_method"), MethodError),
+        (Variant("fpfh_fgr", ("registration.fpfh.no_such_setting=1",)), ConfigError),
+    ],
+)
+def test_what_cannot_run_is_refused_before_anything_runs(variant, error, dataset, sample):
+    first = Variant("fpfh_ransac", common=QUICK)
+    with pytest.raises(error):
+        next(run_variants(dataset.path, sample, [first, variant], FEW))
