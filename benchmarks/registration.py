@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 ABLATIONS = (
     "gravity:registration.gravity.hypotheses=6,12,48",
-    "gravity:registration.gravity.alignments=1,4,16",
     "kiss_matcher:registration.kiss_matcher.yaw_only=false",
     "fpfh_ransac:registration.fpfh.use_gravity=false",
 )

@@ -155,7 +155,7 @@ def joined_parts(
 
     Args:
         fragments: all of them.
-        measurements: between them, with their alternatives; others are not used.
+        measurements: between them, with their alternatives.
         close: when two poses of a fragment agree.
     """
     joining = _Joining(fragments, [Ambiguous.of(m) for m in measurements], close)
@@ -176,14 +176,13 @@ class _Joining:
         self._next = len(ids)
         number = {id_: n for n, id_ in enumerate(ids)}
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.parts}
-        known = [pair for pair in pairs if pair.source in number and pair.target in number]
-        for pair in known:
+        for pair in pairs:
             one, other = number[pair.target], number[pair.source]
             self._pairs[one].setdefault(other, []).append(pair)
             self._pairs[other].setdefault(one, []).append(pair)
         self._links: dict[tuple[int, int], _Link] = {}
         self._queue: list[tuple[float, int, int]] = []
-        for pair, gains in zip(known, loop_gains(known, close), strict=True):
+        for pair, gains in zip(pairs, loop_gains(pairs, close), strict=True):
             one, other = sorted((number[pair.source], number[pair.target]))
             self._measure(one, other, gains)
 

@@ -1,6 +1,8 @@
 """Variants of methods: the answers of 'nss benchmark', with settings and perturbations."""
 
 import math
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -133,3 +135,14 @@ def test_what_cannot_run_is_refused_before_anything_runs(variant, error, dataset
     first = Variant("fpfh_ransac", common=QUICK)
     with pytest.raises(error):
         next(run_variants(dataset.path, sample, [first, variant], FEW))
+
+
+def test_the_ablations_of_the_benchmark_vary_settings_that_exist():
+    script = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "registration.py"))
+    methods = {each.split(":")[0] for each in script["ABLATIONS"]}
+    assert "gravity" in methods
+    for method in methods:
+        overrides = list(script["overrides_of"](method, script["ABLATIONS"]))
+        assert overrides
+        for override in overrides:
+            Variant(method, (override,)).config()

@@ -1,11 +1,10 @@
 import os
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from bad_clouds import BAD
+from another_process import printed_by_another_process
+from bad_clouds import BAD, assert_fails_cleanly
 from scipy.spatial.transform import Rotation
 
 from nss_ros.config import RegistrationConfig
@@ -14,7 +13,6 @@ from nss_ros.geometry import from_rotation, from_yaw, rotation_angle, tilt_angle
 from nss_ros.registration.kiss_matcher import KissMatcher, can_be_described, load_library
 from nss_ros.registration.method import load_method, method_names
 from nss_ros.registration.ransac import Matches
-from nss_ros.registration.relative_transform import Reason
 
 FIRST, SECOND = FragmentId("1", 1, 0), FragmentId("1", 1, 1)
 # The room is small.
@@ -115,26 +113,10 @@ for seed in range(3):
 """
 
 
-def printed_by_another_process(scans_file, threads):
-    libraries = ("OMP", "OPENBLAS", "MKL")
-    environment = {f"{library}_NUM_THREADS": str(threads) for library in libraries}
-    environment |= {"PYTHONPATH": ":".join(sys.path), "PATH": os.environ["PATH"]}
-    return subprocess.run(
-        [sys.executable, "-c", CODE, str(scans_file)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-
-
 def test_results_are_the_same_bytes_in_any_process_with_any_thread_count(scans, tmp_path):
-    file = tmp_path / "scans.pkl"
-    file.write_bytes(pickle.dumps(scans))
-    one, four = (printed_by_another_process(file, threads) for threads in (1, 4))
-    assert len(set(one.stdout.splitlines())) == 1
-    assert one.stdout == four.stdout
-    assert one.stderr == ""
+    one, four = (printed_by_another_process(CODE, scans, tmp_path, n) for n in (1, 4))
+    assert len(set(one.splitlines())) == 1
+    assert one == four
 
 
 def test_loading_the_library_leaves_the_cores_as_they_were():
@@ -147,13 +129,7 @@ def test_loading_the_library_leaves_the_cores_as_they_were():
 @pytest.mark.parametrize("cloud", BAD)
 def test_bad_clouds_fail_cleanly(cloud, scans, capfd):
     method = kiss_matcher()
-    bad = method.prepare(Fragment(SECOND, BAD[cloud].astype(np.float32), True))
-    good = method.prepare(scans[0])
-    for source, target in ((bad, good), (good, bad), (bad, bad)):
-        result = method.register(source, target, 0)
-        assert result.reason in (Reason.TOO_FEW_POINTS, Reason.TOO_FEW_INLIERS, Reason.NOT_LEVEL)
-        assert result.message.endswith(".")
-        assert np.array_equal(result.T_target_source, np.eye(4))
+    assert_fails_cleanly(method, BAD[cloud], scans[0])
     printed = capfd.readouterr()
     assert printed.out == printed.err == ""
 
