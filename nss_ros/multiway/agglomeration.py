@@ -147,6 +147,7 @@ def joined_parts(
     fragments: Iterable[FragmentId],
     measurements: Sequence[Measurement],
     close: Closeness,
+    least_odds: float = _LEAST_ODDS,
 ) -> list[Poses]:
     """Parts of the map, largest first, each with poses in a frame of its own.
 
@@ -157,9 +158,10 @@ def joined_parts(
         fragments: all of them.
         measurements: between them, with their alternatives.
         close: when two poses of a fragment agree.
+        least_odds: logarithm of the odds of a link that is followed.
     """
     joining = _Joining(fragments, [Ambiguous.of(m) for m in measurements], close)
-    while (best := joining.best()) is not None and best[0] > _LEAST_ODDS:
+    while (best := joining.best()) is not None and best[0] > least_odds:
         joining.join(*best[1:])
     return sorted(joining.parts.values(), key=lambda part: (-len(part), min(part)))
 
@@ -237,50 +239,82 @@ def _link(
         close: when two poses agree.
         gains_of_loops: of the hypotheses of the only pair of two fragments; None: not counted.
     """
-    placed: list[Array] = []
-    ends: list[Transform] = []
-    for pair in pairs:
-        here = pair.target if pair.target in one else pair.source
-        placed.append(one[here] @ pair.towards(here))
-        ends.append(other[pair.other(here)])
-    counts = [len(each) for each in placed]
-    poses, own = np.concatenate(placed), np.repeat(np.array(ends), counts, axis=0)
-    backward = np.array([inverse(end) for end in ends])
-    transforms = poses @ np.repeat(backward, counts, axis=0)
-    weights = np.log(np.concatenate([pair.probabilities for pair in pairs]) * _PLACES)
-    candidates = np.argsort(-weights, kind="stable")[:_MOST_CANDIDATES]
-    agree = _agreement(transforms[candidates], transforms, poses, own, close)
-    doubts = np.log([pair.doubt for pair in pairs])
-    starts = np.cumsum([0, *counts[:-1]])
-    gains = np.maximum.reduceat(np.where(agree, weights, -np.inf), starts, axis=1)
-    scores = np.where(np.isfinite(gains), gains, doubts).sum(axis=1) - math.log(_PLACES)
+    votes = Votes.of(one, other, pairs)
+    candidates = votes.likeliest(_MOST_CANDIDATES)
+    agree = votes.agreement(votes.transforms[candidates], close)
+    scores = votes.scores(agree) - math.log(_PLACES)
     if gains_of_loops is not None and len(pairs) == 1:
         scores = scores + gains_of_loops[candidates]
     best = int(np.argmax(scores))
     return _Link(
-        _odds(scores, agree[:, candidates], best, float(doubts.sum())),
-        _mean(transforms[agree[best]], np.exp(weights[agree[best]])),
+        _odds(scores, agree[:, candidates], best, float(votes.doubts.sum())),
+        _mean(votes.transforms[agree[best]], np.exp(votes.weights[agree[best]])),
     )
 
 
-def _agreement(
-    candidates: Array, transforms: Array, poses: Array, own: Array, close: Closeness
-) -> NDArray[np.bool_]:
-    """Which candidates (rows) put the fragments of which hypotheses (columns) where these do.
+@dataclass(frozen=True, slots=True)
+class Votes:
+    """Hypotheses of the pairs between two parts, and what they say of transforms between these.
 
-    Args:
-        candidates: (k, 4, 4) from the frame of a part.
-        transforms: (h, 4, 4), the same of all hypotheses.
-        poses: (h, 4, 4) of each hypothesis' fragment, by the hypothesis.
-        own: (h, 4, 4) of each hypothesis' fragment, in the part.
-        close: when they agree.
+    Attributes:
+        transforms: (h, 4, 4) from the frame of the other part to that of the one.
+        poses: (h, 4, 4) of the fragment of the other part, in the frame of the one.
+        own: (h, 4, 4) of the same fragment, in the other part.
+        weights: (h,) logarithm of what a transform gains that agrees.
+        doubts: (p,) logarithm of the probability that no hypothesis of a pair is right.
+        starts: (p,) where the hypotheses of each pair begin.
     """
-    moved = np.einsum("kij,hj->khi", candidates[:, :3, :3], own[:, :3, 3])
-    moved += candidates[:, None, :3, 3]
-    near = ((moved - poses[None, :, :3, 3]) ** 2).sum(axis=2) < close.translation**2
-    turns = candidates[:, :3, :3].reshape(-1, 9), transforms[:, :3, :3].reshape(-1, 9)
-    cosine = (np.einsum("ik,jk->ij", *turns) - 1) / 2
-    return np.asarray(near & (cosine > math.cos(close.rotation)))
+
+    transforms: Array
+    poses: Array
+    own: Array
+    weights: Array
+    doubts: Array
+    starts: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, one: Poses, other: Poses, pairs: Sequence[Ambiguous]) -> Votes:
+        """The votes of pairs, one or more, each with a fragment in each part."""
+        placed: list[Array] = []
+        ends: list[Transform] = []
+        for pair in pairs:
+            here = pair.target if pair.target in one else pair.source
+            placed.append(one[here] @ pair.towards(here))
+            ends.append(other[pair.other(here)])
+        counts = [len(each) for each in placed]
+        poses, own = np.concatenate(placed), np.repeat(np.array(ends), counts, axis=0)
+        backward = np.array([inverse(end) for end in ends])
+        return cls(
+            poses @ np.repeat(backward, counts, axis=0),
+            poses,
+            own,
+            np.log(np.concatenate([pair.probabilities for pair in pairs]) * _PLACES),
+            np.log([pair.doubt for pair in pairs]),
+            np.cumsum([0, *counts[:-1]]),
+        )
+
+    def likeliest(self, count: int) -> NDArray[np.intp]:
+        """Numbers of the most probable hypotheses."""
+        return np.argsort(-self.weights, kind="stable")[:count]
+
+    def agreement(self, candidates: Array, close: Closeness) -> NDArray[np.bool_]:
+        """Which candidates (k, 4, 4) put the fragments of which hypotheses where these do, (k, h).
+
+        Args:
+            candidates: from the frame of the other part to that of the one.
+            close: when they agree.
+        """
+        moved = np.einsum("kij,hj->khi", candidates[:, :3, :3], self.own[:, :3, 3])
+        moved += candidates[:, None, :3, 3]
+        near = ((moved - self.poses[None, :, :3, 3]) ** 2).sum(axis=2) < close.translation**2
+        turns = candidates[:, :3, :3].reshape(-1, 9), self.transforms[:, :3, :3].reshape(-1, 9)
+        cosine = (np.einsum("ik,jk->ij", *turns) - 1) / 2
+        return np.asarray(near & (cosine > math.cos(close.rotation)))
+
+    def scores(self, agree: NDArray[np.bool_]) -> Array:
+        """Logarithm of the evidence for transforms, (k,), by whom they agree with, (k, h)."""
+        gains = np.maximum.reduceat(np.where(agree, self.weights, -np.inf), self.starts, axis=1)
+        return np.asarray(np.where(np.isfinite(gains), gains, self.doubts).sum(axis=1))
 
 
 def _odds(scores: Array, agree: NDArray[np.bool_], best: int, elsewhere: float) -> float:

@@ -17,28 +17,35 @@ STEP = CELL * STRIDE
 SHIFTS = SIZE // STRIDE * 2
 
 
-def rotated(features: Tensor, yaws: Tensor, shifts: Tensor | None = None) -> Tensor:
-    """Source features turned about the sensor, (k, c, h, w).
+def rotated(
+    features: Tensor, yaws: Tensor, shifts: Tensor | None = None, size: int | None = None
+) -> Tensor:
+    """Source features turned about the middle of their grid, (k, c, size, size).
 
     Args:
-        features: (c, h, w) float32, as a source.
+        features: (c, n, n) float32, as a source.
         yaws: (k,) radians.
         shifts: (k, 2), x and y by which they are moved then, metres; None: not at all.
+        size: cells of the result along each side, about the same middle; None: n.
     """
+    cells = features.shape[-1]
+    size = size or cells
+    wide = size / cells
     cosines, sines = yaws.cos(), yaws.sin()
-    x, y = torch.zeros(2, len(yaws)) if shifts is None else shifts.T / (STEP * SIZE / STRIDE / 2)
+    x, y = torch.zeros(2, len(yaws)) if shifts is None else shifts.T / (STEP * cells / 2)
     # Cell u of the result is cell R(-yaw) (u - shift) of the source.
     backward = torch.stack(
         (
-            torch.stack((cosines, sines, -cosines * x - sines * y), -1),
-            torch.stack((-sines, cosines, sines * x - cosines * y), -1),
+            torch.stack((wide * cosines, wide * sines, -cosines * x - sines * y), -1),
+            torch.stack((-wide * sines, wide * cosines, sines * x - cosines * y), -1),
         ),
         1,
     )
-    shape = (len(yaws), *features.shape)
-    grid = torch.nn.functional.affine_grid(backward, list(shape), align_corners=False)
+    grid = torch.nn.functional.affine_grid(
+        backward, [len(yaws), len(features), size, size], align_corners=False
+    )
     turned = torch.nn.functional.grid_sample(
-        features.expand(shape), grid, mode="bilinear", align_corners=False
+        features.expand(len(yaws), *features.shape), grid, mode="bilinear", align_corners=False
     )
     along_x, along_y = turned[:, VECTORS][:, 0::2], turned[:, VECTORS][:, 1::2]
     c, s = cosines[:, None, None, None], sines[:, None, None, None]
@@ -48,24 +55,25 @@ def rotated(features: Tensor, yaws: Tensor, shifts: Tensor | None = None) -> Ten
     return torch.cat((turned[:, : VECTORS.start], vectors, turned[:, VECTORS.stop :]), dim=1)
 
 
-def spectrum(features: Tensor) -> Tensor:
-    """Fourier transform of features (..., h, w) on the grid of shifts."""
-    spectra: Tensor = torch.fft.rfft2(features, s=(SHIFTS, SHIFTS))
+def spectrum(features: Tensor, shifts: int = SHIFTS) -> Tensor:
+    """Fourier transform of features (..., h, w) on a grid of shifts."""
+    spectra: Tensor = torch.fft.rfft2(features, s=(shifts, shifts))
     return spectra
 
 
-def correlate(turned: Tensor, target: Tensor) -> Tensor:
-    """Scores (k, SHIFTS, SHIFTS) of shifts in y and x, each of which is taken modulo SHIFTS.
+def correlate(turned: Tensor, target: Tensor, shifts: int = SHIFTS) -> Tensor:
+    """Scores (k, shifts, shifts) of shifts in y and x, each of which is taken modulo `shifts`.
 
     Args:
         turned: spectra (k, c, ...) of the turned source.
         target: spectrum (c, ...) of the target.
+        shifts: along each axis.
     """
     # One channel after the other: the products of all of them would not stay in the cache.
     product = turned[:, 0].conj() * target[0]
     for channel in range(1, len(target)):
         product = product + turned[:, channel].conj() * target[channel]
-    scores: Tensor = torch.fft.irfft2(product, s=(SHIFTS, SHIFTS))
+    scores: Tensor = torch.fft.irfft2(product, s=(shifts, shifts))
     return scores
 
 

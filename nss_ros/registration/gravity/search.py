@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nss_ros.registration.gravity.correlation import (
-    SHIFTS,
     YAWS,
     correlate,
     rotated,
@@ -22,7 +21,6 @@ from nss_ros.registration.gravity.correlation import (
 
 # Poses closer than this to a better one are the same hypothesis, in cells of the grid.
 _APART_YAWS, _APART_CELLS = 3, 2
-_SHAPE = np.array([YAWS, SHIFTS, SHIFTS])
 _BATCH = 24
 _PEAKS = 4000
 
@@ -77,36 +75,53 @@ def search(source: Tensor, target: Tensor, count: int) -> Search:
                 for part in torch.split(angles, _BATCH)
             ]
         )
+        places = best_places(scores, count)
         total = float(scores.flatten().logsumexp(dim=0))
-        values, places = scores.flatten().topk(_PEAKS)
-    grid = np.stack(np.unravel_index(places.numpy(), scores.shape), axis=1)
-    peaks = _peaks(grid, values.numpy().astype(np.float64), total, count)
+    peaks = tuple(
+        Peak(
+            float(each.cells[0]) * 2 * math.pi / YAWS,
+            shift_of(float(each.cells[2])),
+            shift_of(float(each.cells[1])),
+            each.score,
+            each.mass - total,
+        )
+        for each in places
+    )
     return Search(peaks, total - math.log(scores.numel()))
 
 
-def _peaks(
-    places: NDArray[np.intp], values: NDArray[np.float64], total: float, count: int
-) -> tuple[Peak, ...]:
-    """Greedy suppression of what lies beside a better pose."""
-    left = np.ones(len(places), dtype=bool)
-    peaks: list[Peak] = []
-    while left.any() and len(peaks) < count:
-        best = int(np.argmax(left))  # the values descend
-        offsets = (places - places[best] + _SHAPE // 2) % _SHAPE - _SHAPE // 2
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A peak of scores.
+
+    Attributes:
+        cells: (3,) float64, yaw, row and column; between the cells, too.
+        score: of its best cell.
+        mass: logarithm of the sum beside it.
+    """
+
+    cells: NDArray[np.float64]
+    score: float
+    mass: float
+
+
+def best_places(scores: Tensor, count: int) -> list[Place]:
+    """The `count` best peaks of scores (yaws, rows, columns), all of them cyclic, best first."""
+    best, numbers = scores.flatten().topk(min(_PEAKS, scores.numel()))
+    shape = np.array(scores.shape)
+    grid = np.stack(np.unravel_index(numbers.numpy(), scores.shape), axis=1)
+    values = best.numpy().astype(np.float64)
+    left = np.ones(len(grid), dtype=bool)
+    found: list[Place] = []
+    while left.any() and len(found) < count:
+        top = int(np.argmax(left))  # the values descend
+        offsets = (grid - grid[top] + shape // 2) % shape - shape // 2
         beside = left & (np.abs(offsets) <= (_APART_YAWS, _APART_CELLS, _APART_CELLS)).all(axis=1)
-        mass = float(np.logaddexp.reduce(values[beside])) - total
         left &= ~beside
         touching = (np.abs(offsets) <= 1).all(axis=1)
-        weights = np.exp(values[touching] - values[best])
+        weights = np.exp(values[touching] - values[top])
         # Between the cells: the mean pose of the cell and those that touch it.
-        exact = places[best] + weights @ offsets[touching] / weights.sum()
-        peaks.append(
-            Peak(
-                float(exact[0]) * 2 * math.pi / YAWS,
-                shift_of(float(exact[2])),
-                shift_of(float(exact[1])),
-                float(values[best]),
-                mass,
-            )
-        )
-    return tuple(peaks)
+        cells = grid[top] + weights @ offsets[touching] / weights.sum()
+        mass = float(np.logaddexp.reduce(values[beside]))
+        found.append(Place(cells, float(values[top]), mass))
+    return found

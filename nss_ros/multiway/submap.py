@@ -1,0 +1,235 @@
+"""Submaps: fragments that are placed in one frame, registered as if they were one large fragment.
+
+What several fragments saw together is hardly ambiguous, where each alone is (the paper found that
+12 m of context aligns better than single fragments). Two submaps are registered by the hypotheses
+of the pairs between them and by an exhaustive search; all poses are scored by the learned features
+of all that they saw, so pairs count that nobody asked for, and free space that contradicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nss_ros.fragment import FragmentId
+from nss_ros.geometry import (
+    Transform,
+    from_yaw,
+    inverse,
+    relative,
+    rotation_angle,
+    transform_points,
+)
+from nss_ros.icp import Surface, refine
+from nss_ros.multiway.agglomeration import Ambiguous, Votes
+from nss_ros.multiway.spanning_tree import Closeness, Poses
+from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
+from nss_ros.registration.gravity.method import GravityFeatures
+
+# Points of a submap: of its surface, and of what is moved in ICP.
+_VOXEL_SIZE = 0.1
+_MOVED_POINTS = 1500
+# Poses that are scored, from the pairs and from the search; those that are aligned.
+_FROM_PAIRS, _FROM_SEARCH, _MOST_ALIGNED = 12, 20, 4
+_MOST_MARGIN = 10.0
+_ICP_DISTANCE, _ICP_ITERATIONS, _KERNEL, _DAMPING = 0.15, 8, 0.05, 0.005
+# An alignment that goes farther was carried away.
+_MOST_TRANSLATION, _MOST_ROTATION = 0.6, np.radians(6)
+# Pairs share what they saw with the canvases, so what they say counts half.
+_PAIRS_WEIGHT = 0.5
+
+Features = Mapping[FragmentId, GravityFeatures]
+
+
+@dataclass(frozen=True, slots=True)
+class Submap:
+    """Fragments in one frame.
+
+    Attributes:
+        poses: of the fragments.
+        canvas: their features.
+        surface: all points.
+        moved: some of them.
+        floor: median height of the floors, metres.
+    """
+
+    poses: Poses
+    canvas: Canvas
+    surface: Surface
+    moved: Surface
+    floor: float
+
+    @classmethod
+    def of(cls, poses: Poses, features: Features) -> Submap:
+        """A submap of fragments with features."""
+        return cls._with(poses, Canvas.of(poses, _maps(poses, features)), features)
+
+    def joined(self, other: Submap, T_self_other: Transform, features: Features) -> Submap:
+        """This submap with the fragments of another."""
+        added = {id_: T_self_other @ pose for id_, pose in other.poses.items()}
+        canvas = self.canvas.extended(added, _maps(added, features))
+        return self._with(self.poses | added, canvas, features)
+
+    @classmethod
+    def _with(cls, poses: Poses, canvas: Canvas, features: Features) -> Submap:
+        points, normals, floors = [], [], []
+        for id_, pose in poses.items():
+            shape = features[id_].shape
+            assert shape is not None
+            points.append(transform_points(pose, shape.surface.points))
+            normals.append(shape.surface.normals @ pose[:3, :3].T)
+            floors.append(pose[2, 3] + shape.floor.height)
+        cloud, directions = np.concatenate(points), np.concatenate(normals)
+        kept = _voxels(cloud)
+        cloud, directions = cloud[kept], directions[kept]
+        return cls(
+            poses,
+            canvas,
+            Surface.of(cloud, directions),
+            Surface.sample(cloud, directions, _MOVED_POINTS),
+            float(np.median(floors)),
+        )
+
+
+def _maps(poses: Poses, features: Features) -> dict[FragmentId, NDArray[np.float32]]:
+    maps = {}
+    for id_ in poses:
+        each = features[id_].maps
+        assert each is not None
+        maps[id_] = each
+    return maps
+
+
+def _voxels(points: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Numbers of one point in each voxel."""
+    cells = np.floor(points / _VOXEL_SIZE).astype(np.int64)
+    cells -= cells.min(axis=0)
+    shape = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]
+    return np.unique(keys, return_index=True)[1]
+
+
+@dataclass(frozen=True, slots=True)
+class SubmapLink:
+    """The best transform between two submaps.
+
+    Attributes:
+        odds: logarithm of the odds that it is right, against all others that were found and
+            against none.
+        T_target_source: (4, 4).
+    """
+
+    odds: float
+    T_target_source: Transform
+
+
+def register_submaps(
+    source: Submap, target: Submap, pairs: Sequence[Ambiguous], close: Closeness
+) -> SubmapLink:
+    """The best transform between two submaps.
+
+    Args:
+        source: one.
+        target: another.
+        pairs: with a fragment in each, may be none.
+        close: when two transforms agree.
+    """
+    if len(source.poses) > len(target.poses):
+        link = register_submaps(target, source, pairs, close)
+        return SubmapLink(link.odds, inverse(link.T_target_source))
+    votes = Votes.of(target.poses, source.poses, pairs) if pairs else None
+    scored = [
+        (_score(source, target, each, votes, close), each)
+        for each in _candidates(source, target, votes, close)
+    ]
+    scored.sort(key=lambda each: -each[0])
+    best = scored[0][0]
+    aligned = [
+        _aligned(source, target, transform, score, votes, close)
+        for score, transform in scored[:_MOST_ALIGNED]
+        if score > best - _MOST_MARGIN
+    ]
+    ranked = sorted((*aligned, *scored[len(aligned) :]), key=lambda each: -each[0])
+    apart = _apart(ranked, close)
+    rivals = [0.0, *(score for score, _ in apart[1:])]
+    score, transform = apart[0]
+    return SubmapLink(score - float(np.logaddexp.reduce(rivals)), transform)
+
+
+def _candidates(
+    source: Submap, target: Submap, votes: Votes | None, close: Closeness
+) -> list[Transform]:
+    """Transforms from the pairs, and from the search at their height or that of the floors."""
+    found: list[Transform] = []
+    height = target.floor - source.floor
+    if votes is not None:
+        scores = votes.scores(votes.agreement(votes.transforms, close)) + 1e-3 * votes.weights
+        order = np.argsort(-scores, kind="stable")
+        found = _distinct([votes.transforms[each] for each in order], close)[:_FROM_PAIRS]
+        # A transform about an origin far away: its height is that of the fragments, not its z.
+        height = float(np.median([each[2, 3] for each in found]))
+    for transform in canvas_search(source.canvas, target.canvas, _FROM_SEARCH):
+        transform[2, 3] = height
+        found.append(transform)
+    return _distinct(found, close)
+
+
+def _distinct(transforms: Sequence[Transform], close: Closeness) -> list[Transform]:
+    return [each for _, each in _apart([(0.0, each) for each in transforms], close)]
+
+
+def _apart(
+    ranked: Sequence[tuple[float, Transform]], close: Closeness
+) -> list[tuple[float, Transform]]:
+    """Those that are not close to an earlier one."""
+    kept: list[tuple[float, Transform]] = []
+    for score, transform in ranked:
+        if not kept or not close.agree(transform, np.array([each for _, each in kept])).any():
+            kept.append((score, transform))
+    return kept
+
+
+def _score(
+    source: Submap, target: Submap, transform: Transform, votes: Votes | None, close: Closeness
+) -> float:
+    score = canvas_score(source.canvas, target.canvas, transform)
+    if votes is not None:
+        gain = votes.scores(votes.agreement(transform[None], close))[0] - votes.doubts.sum()
+        score += _PAIRS_WEIGHT * float(gain)
+    return score
+
+
+def _aligned(
+    source: Submap,
+    target: Submap,
+    start: Transform,
+    score: float,
+    votes: Votes | None,
+    close: Closeness,
+) -> tuple[float, Transform]:
+    """The transform after ICP where that scores more, level again, with its score."""
+    refined = refine(
+        source.moved,
+        target.surface,
+        start,
+        _ICP_DISTANCE,
+        _ICP_ITERATIONS,
+        (1.0,),
+        _KERNEL,
+        _DAMPING,
+    ).T_target_source
+    level = from_yaw(float(np.arctan2(refined[1, 0], refined[0, 0])), refined[:3, 3])
+    # Turned about the middle of the source, not about its origin.
+    middle = source.moved.points.mean(axis=0)
+    level[:3, 3] += (
+        refined[:3, :3] @ middle + refined[:3, 3] - level[:3, :3] @ middle - level[:3, 3]
+    )
+    moved = relative(level, start)
+    distance = np.linalg.norm(moved[:3, :3] @ middle + moved[:3, 3] - middle)
+    if distance > _MOST_TRANSLATION or rotation_angle(moved) > _MOST_ROTATION:
+        return score, start
+    again = _score(source, target, level, votes, close)
+    return (again, level) if again > score else (score, start)

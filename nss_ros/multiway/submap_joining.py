@@ -1,0 +1,139 @@
+"""Submaps joined to larger ones, the surest link first.
+
+The fragments of each stage are joined by their pairs where these are sure; the submaps that come
+of it are registered with each other, and each that is joined makes the next ones surer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from heapq import heapify, heappop, heappush
+
+import numpy as np
+
+from nss_ros.fragment import FragmentId
+from nss_ros.geometry import inverse
+from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
+from nss_ros.multiway.pose_graph import Measurement
+from nss_ros.multiway.spanning_tree import Closeness, Poses
+from nss_ros.multiway.submap import Features, Submap, SubmapLink, register_submaps
+
+# Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
+# submaps are joined.
+_SURE_PAIRS, _LEAST_ODDS = 1.0, 2.0
+# Links of small submaps are measured when no link of a larger one is left.
+_SMALL, _LATER = 3, -1000.0
+
+
+def joined_submaps(
+    fragments: Iterable[FragmentId],
+    measurements: Sequence[Measurement],
+    features: Features,
+    close: Closeness,
+) -> list[Poses]:
+    """Submaps, largest first, each with poses in a frame of its own.
+
+    Args:
+        fragments: all of them, each with features.
+        measurements: between them, with their alternatives.
+        features: of the fragments.
+        close: when two poses of a fragment agree.
+    """
+    joining = Joining(fragments, measurements, features, close)
+    for _ in joining:
+        pass
+    return joining.parts()
+
+
+class Joining:
+    """Submaps that are being joined; iterating joins two at a time."""
+
+    def __init__(
+        self,
+        fragments: Iterable[FragmentId],
+        measurements: Sequence[Measurement],
+        features: Features,
+        close: Closeness,
+    ) -> None:
+        within = [m for m in measurements if m.pair.same_stage]
+        parts = joined_parts(fragments, within, close, _SURE_PAIRS)
+        self._features, self._close = features, close
+        self.submaps = {n: Submap.of(part, features) for n, part in enumerate(parts)}
+        self._next = len(parts)
+        self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
+        # A link that was not measured yet, or before one of its submaps grew, has no transform.
+        self._links: dict[tuple[int, int], SubmapLink | None] = {}
+        self._queue: list[tuple[float, int, int]] = []
+        self._add_pairs(measurements)
+
+    def parts(self) -> list[Poses]:
+        """Poses of the fragments of each submap, largest first."""
+        all_ = [submap.poses for submap in self.submaps.values()]
+        return sorted(all_, key=lambda part: (-len(part), min(part)))
+
+    def __iter__(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
+        while self._queue:
+            odds, one, other = heappop(self._queue)
+            if one not in self.submaps or other not in self.submaps:
+                continue
+            link = self._links[one, other]
+            if link is None:
+                self._measure(one, other)
+            elif link.odds == -odds:
+                if link.odds < _LEAST_ODDS:
+                    return
+                yield link.odds, self.submaps[one], self.submaps[other], link
+                self._join(one, other, link)
+
+    def _add_pairs(self, measurements: Sequence[Measurement]) -> None:
+        part = {id_: n for n, submap in self.submaps.items() for id_ in submap.poses}
+        for m in measurements:
+            one, other = part[m.pair.target], part[m.pair.source]
+            if one != other:
+                pair = Ambiguous.of(m)
+                self._pairs[one].setdefault(other, []).append(pair)
+                self._pairs[other].setdefault(one, []).append(pair)
+        for one, beside in self._pairs.items():
+            for other in beside:
+                if one < other:
+                    self._links[one, other] = None
+                    self._queue.append((-self._guess(one, other), one, other))
+        heapify(self._queue)
+
+    def _guess(self, one: int, other: int) -> float:
+        """Odds of a link that was not measured: those of large submaps are measured first."""
+        sizes = [len(self.submaps[each].poses) for each in (one, other)]
+        return np.inf if max(sizes) >= _SMALL else _LATER + sum(sizes)
+
+    def _measure(self, one: int, other: int) -> None:
+        """The link that moves the second submap to the first."""
+        pairs = self._pairs[one][other]
+        link = register_submaps(self.submaps[other], self.submaps[one], pairs, self._close)
+        self._links[one, other] = link
+        heappush(self._queue, (-link.odds, one, other))
+
+    def _join(self, one: int, other: int, link: SubmapLink) -> None:
+        first, second = self.submaps.pop(one), self.submaps.pop(other)
+        new, self._next = self._next, self._next + 1
+        if len(first.poses) >= len(second.poses):
+            self.submaps[new] = first.joined(second, link.T_target_source, self._features)
+        else:
+            self.submaps[new] = second.joined(first, inverse(link.T_target_source), self._features)
+        pairs: dict[int, list[Ambiguous]] = {}
+        odds: dict[int, float] = {}
+        for old in (one, other):
+            for third, between in self._pairs.pop(old).items():
+                if third in (one, other):
+                    continue
+                pairs.setdefault(third, []).extend(between)
+                del self._pairs[third][old]
+                key = (min(old, third), max(old, third))
+                known = self._links.pop(key)
+                guess = self._guess(new, third) if known is None else known.odds
+                odds[third] = max(odds.get(third, -np.inf), guess)
+        self._pairs[new] = pairs
+        for third, between in pairs.items():
+            self._pairs[third][new] = between
+            self._links[third, new] = None
+            # An old link says how sure the new one is about, until it is measured.
+            heappush(self._queue, (-odds[third], third, new))

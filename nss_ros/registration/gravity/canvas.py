@@ -1,0 +1,239 @@
+"""Features of many placed fragments on one canvas, and the poses of one canvas on another.
+
+A fragment alone is often ambiguous; what several of them saw together hardly is. The score of a
+pose is linear in the features of the network, so those of fragments that are placed in one frame
+are averaged cell by cell, and a canvas is then compared with another as two fragments are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from nss_ros.fragment import FragmentId
+from nss_ros.geometry import Transform, from_yaw, inverse
+from nss_ros.registration.gravity.correlation import STEP, correlate, rotated, spectrum
+from nss_ros.registration.gravity.network import CHANNELS, STRIDE, as_target
+from nss_ros.registration.gravity.raster import SIZE
+from nss_ros.registration.gravity.search import best_places
+
+# Cells of a fragment's features along each side, and one more on each, for it is not on the grid.
+_WINDOW = SIZE // STRIDE + 2
+_REACH = _WINDOW * STEP / 2
+# A cell where a fragment has less than this in all channels together was not seen by it.
+_LEAST_FEATURE = 0.05
+# The search is on cells twice as large: ten times faster, and among its best twenty poses is the
+# right one as often.
+_POOL = 2
+_SEARCH_YAWS = 60
+_BATCH = 12
+
+Maps = Mapping[FragmentId, NDArray[np.float32]]
+Poses = Mapping[FragmentId, Transform]
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Sums over the fragments of one stage.
+
+    Attributes:
+        across: (CHANNELS, n, n), of features for pairs of different stages.
+        within: (CHANNELS, n, n), of features for pairs of one stage.
+        seen: (n, n), how many fragments saw a cell.
+    """
+
+    across: Tensor
+    within: Tensor
+    seen: Tensor
+
+    @classmethod
+    def blank(cls, size: int) -> Layer:
+        """A layer without fragments."""
+        features = torch.zeros(CHANNELS, size, size)
+        return cls(features, features.clone(), torch.zeros(size, size))
+
+    def padded(self, rim: int) -> Layer:
+        """A copy with `rim` more cells on each side."""
+        across, within, seen = (
+            torch.nn.functional.pad(each, (rim, rim, rim, rim))
+            for each in (self.across, self.within, self.seen)
+        )
+        return Layer(across, within, seen)
+
+
+@dataclass(frozen=True, slots=True)
+class Canvas:
+    """Features of placed fragments on a square grid along the axes of their frame.
+
+    Attributes:
+        centre: (2,) float64, x and y of its middle, metres.
+        layers: by stage.
+        features: (CHANNELS, n, n), the mean of all fragments, for pairs of different stages.
+    """
+
+    centre: NDArray[np.float64]
+    layers: Mapping[int, Layer]
+    features: Tensor
+
+    @property
+    def size(self) -> int:
+        """Cells along each side."""
+        return int(self.features.shape[-1])
+
+    @classmethod
+    def of(cls, poses: Poses, maps: Maps) -> Canvas:
+        """The canvas of fragments with poses in one frame, and their `feature_maps`."""
+        places = np.array([pose[:2, 3] for pose in poses.values()])
+        low, high = places.min(axis=0), places.max(axis=0)
+        return cls._with((low + high) / 2, {}, poses, maps, float((high - low).max()) / 2)
+
+    def extended(self, poses: Poses, maps: Maps) -> Canvas:
+        """This canvas with further fragments in the same frame."""
+        places = np.array([pose[:2, 3] for pose in poses.values()])
+        reach = float(np.abs(places - self.centre).max())
+        return self._with(self.centre, self.layers, poses, maps, reach)
+
+    @classmethod
+    def _with(
+        cls,
+        centre: NDArray[np.float64],
+        layers: Mapping[int, Layer],
+        poses: Poses,
+        maps: Maps,
+        reach: float,
+    ) -> Canvas:
+        with torch.inference_mode():
+            size = 2 * math.ceil((reach + _REACH) / STEP)
+            old = max((each.seen.shape[-1] for each in layers.values()), default=0)
+            size = max(size, old)
+            new = {stage: each.padded((size - old) // 2) for stage, each in layers.items()}
+            for id_, pose in poses.items():
+                layer = new.setdefault(id_.stage, Layer.blank(size))
+                _add(layer, maps[id_], pose, centre)
+            across = torch.stack([each.across for each in new.values()]).sum(dim=0)
+            seen = torch.stack([each.seen for each in new.values()]).sum(dim=0)
+            return cls(centre, new, across / seen.clamp(min=1))
+
+
+def _add(
+    layer: Layer, maps: NDArray[np.float32], pose: Transform, centre: NDArray[np.float64]
+) -> None:
+    """Add the features of a fragment to a layer, in place."""
+    size = layer.seen.shape[-1]
+    cell = (pose[:2, 3] - centre) / STEP + size / 2
+    start = np.round(cell - _WINDOW / 2).astype(int).clip(0, size - _WINDOW)
+    shift = torch.from_numpy((cell - start - _WINDOW / 2) * STEP).float()[None]
+    yaw = torch.tensor([math.atan2(pose[1, 0], pose[0, 0])], dtype=torch.float32)
+    across, within = (
+        rotated(torch.from_numpy(each), yaw, shift, _WINDOW)[0] for each in (maps[0], maps[1])
+    )
+    columns, rows = (slice(int(first), int(first) + _WINDOW) for first in start)
+    layer.across[:, rows, columns] += across
+    layer.within[:, rows, columns] += within
+    layer.seen[rows, columns] += (across.abs().sum(dim=0) > _LEAST_FEATURE).float()
+
+
+def canvas_score(source: Canvas, target: Canvas, T_target_source: Transform) -> float:
+    """Logarithm of the probability density of a pose, up to a constant.
+
+    What both saw in one stage is compared as fragments of one stage are. Faster when the source
+    is the smaller one.
+    """
+    with torch.inference_mode():
+        place = _Place.of(source, target, T_target_source)
+        score = place.product(source.features, target.features)
+        for stage in sorted(source.layers.keys() & target.layers.keys()):
+            one, other = source.layers[stage], target.layers[stage]
+            seen, seen_there = one.seen.clamp(min=1), other.seen.clamp(min=1)
+            score += place.product(one.within / seen, other.within / seen_there)
+            score -= place.product(one.across / seen, other.across / seen_there)
+        return score
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where the cells of a source are on its target.
+
+    Attributes:
+        yaw: (1,) of `T_source_target`.
+        shift: (1, 2) metres, of the target's middle from the source's.
+    """
+
+    yaw: Tensor
+    shift: Tensor
+
+    @classmethod
+    def of(cls, source: Canvas, target: Canvas, T_target_source: Transform) -> _Place:
+        back = inverse(T_target_source)
+        shift = back[:2, :2] @ target.centre + back[:2, 3] - source.centre
+        yaw = torch.tensor([math.atan2(back[1, 0], back[0, 0])], dtype=torch.float32)
+        return cls(yaw, torch.from_numpy(shift[None]).float())
+
+    def product(self, moving: Tensor, still: Tensor) -> float:
+        """Sum of the products of source features and target features, both as sources."""
+        there = rotated(still, self.yaw, self.shift, moving.shape[-1])[0]
+        return float((moving * as_target(there)).sum())
+
+
+def canvas_search(source: Canvas, target: Canvas, count: int) -> list[Transform]:
+    """The best `T_target_source`, all with z = 0, best first.
+
+    Args:
+        source: what is turned; faster when it is the smaller one.
+        target: the other.
+        count: most poses.
+    """
+    with torch.inference_mode():
+        moving, still = (_pooled(each) for each in _searched(source, target))
+        size = _fast_size(moving.shape[-1] + still.shape[-1])
+        spectra = spectrum(as_target(still), size)
+        yaws = torch.arange(_SEARCH_YAWS) * (2 * math.pi / _SEARCH_YAWS)
+        scores = torch.cat(
+            [
+                correlate(spectrum(rotated(moving, part), size), spectra, size)
+                for part in torch.split(yaws, _BATCH)
+            ]
+        )
+    offset = (still.shape[-1] - moving.shape[-1]) / 2
+    transforms = []
+    for place in best_places(scores, count):
+        yaw, cells = place.cells[0] * 2 * math.pi / _SEARCH_YAWS, place.cells[:0:-1]
+        shift = np.where(cells < size / 2, cells, cells - size) - offset
+        transform = from_yaw(yaw, (0.0, 0.0, 0.0))
+        middle = target.centre + shift * STEP * _POOL
+        transform[:2, 3] = middle - transform[:2, :2] @ source.centre
+        transforms.append(transform)
+    return transforms
+
+
+def _searched(source: Canvas, target: Canvas) -> tuple[Tensor, Tensor]:
+    """The features by which a search goes: of one stage where there is only that."""
+    if len(source.layers) > 1 or source.layers.keys() != target.layers.keys():
+        return source.features, target.features
+    (stage,) = source.layers
+    one, other = source.layers[stage], target.layers[stage]
+    return one.within / one.seen.clamp(min=1), other.within / other.seen.clamp(min=1)
+
+
+def _pooled(features: Tensor) -> Tensor:
+    """On cells twice as large; a sum of products of these is about that of the smaller cells."""
+    return torch.nn.functional.avg_pool2d(features, _POOL) * _POOL
+
+
+def _fast_size(least: int) -> int:
+    """The next number that has no prime factors but 2, 3 and 5."""
+    size = least + least % 2
+    while True:
+        rest = size
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return size
+        size += 2
