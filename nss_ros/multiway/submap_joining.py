@@ -59,7 +59,6 @@ class Joining:
         parts = joined_parts(fragments, within, close, _SURE_PAIRS)
         self._features, self._close = features, close
         self.submaps = {n: Submap.of(part, features) for n, part in enumerate(parts)}
-        self._next = len(parts)
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
         # A link that was not measured yet, or before one of its submaps grew, has no transform.
         self._links: dict[tuple[int, int], SubmapLink | None] = {}
@@ -113,27 +112,21 @@ class Joining:
         heappush(self._queue, (-link.odds, one, other))
 
     def _join(self, one: int, other: int, link: SubmapLink) -> None:
-        first, second = self.submaps.pop(one), self.submaps.pop(other)
-        new, self._next = self._next, self._next + 1
-        if len(first.poses) >= len(second.poses):
-            self.submaps[new] = first.joined(second, link.T_target_source, self._features)
-        else:
-            self.submaps[new] = second.joined(first, inverse(link.T_target_source), self._features)
-        pairs: dict[int, list[Ambiguous]] = {}
-        odds: dict[int, float] = {}
-        for old in (one, other):
-            for third, between in self._pairs.pop(old).items():
-                if third in (one, other):
-                    continue
-                pairs.setdefault(third, []).extend(between)
-                del self._pairs[third][old]
-                key = (min(old, third), max(old, third))
-                known = self._links.pop(key)
-                guess = self._guess(new, third) if known is None else known.odds
-                odds[third] = max(odds.get(third, -np.inf), guess)
-        self._pairs[new] = pairs
-        for third, between in pairs.items():
-            self._pairs[third][new] = between
-            self._links[third, new] = None
-            # An old link says how sure the new one is about, until it is measured.
-            heappush(self._queue, (-odds[third], third, new))
+        """Make one submap of two, in the frame of the larger one."""
+        transform = link.T_target_source
+        if len(self.submaps[other].poses) > len(self.submaps[one].poses):
+            one, other, transform = other, one, inverse(transform)
+        added = self.submaps.pop(other)
+        self.submaps[one] = self.submaps[one].joined(added, transform, self._features)
+        for third, between in self._pairs.pop(other).items():
+            del self._pairs[third][other]
+            known = self._links.pop((min(other, third), max(other, third)))
+            if third == one:
+                continue
+            self._pairs[one].setdefault(third, []).extend(between)
+            self._pairs[third].setdefault(one, []).extend(between)
+            # What an old link says is about how sure the new one is, until it is measured.
+            key = (min(one, third), max(one, third))
+            old = [each.odds for each in (known, self._links.get(key)) if each is not None]
+            self._links[key] = None
+            heappush(self._queue, (-max(old, default=self._guess(*key)), *key))

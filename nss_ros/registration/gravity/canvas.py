@@ -33,6 +33,8 @@ _LEAST_FEATURE = 0.05
 _POOL = 2
 _SEARCH_YAWS = 60
 _BATCH = 12
+# Poses that score less than the best one by this, on the cells of the search, are not told.
+_MOST_MARGIN = 10.0
 
 Maps = Mapping[FragmentId, NDArray[np.float32]]
 Poses = Mapping[FragmentId, Transform]
@@ -187,7 +189,7 @@ def canvas_search(source: Canvas, target: Canvas, count: int) -> list[Transform]
     Args:
         source: what is turned; faster when it is the smaller one.
         target: the other.
-        count: most poses.
+        count: most poses; fewer where the others are far less probable.
     """
     with torch.inference_mode():
         moving, still = (_pooled(each) for each in _searched(source, target))
@@ -201,8 +203,11 @@ def canvas_search(source: Canvas, target: Canvas, count: int) -> list[Transform]
             ]
         )
     offset = (still.shape[-1] - moving.shape[-1]) / 2
+    places = best_places(scores, count)
     transforms = []
-    for place in best_places(scores, count):
+    for place in places:
+        if place.score < places[0].score - _MOST_MARGIN:
+            break
         yaw, cells = place.cells[0] * 2 * math.pi / _SEARCH_YAWS, place.cells[:0:-1]
         shift = np.where(cells < size / 2, cells, cells - size) - offset
         transform = from_yaw(yaw, (0.0, 0.0, 0.0))
