@@ -83,6 +83,7 @@ setup(
         ],
         "nss_ros.synchronizers": [
             "choi = nss_ros.multiway.choi:Choi",
+            "submaps = nss_ros.multiway.submaps:Submaps",
         ],
     },
 )

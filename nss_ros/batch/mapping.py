@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-import numpy as np
-
-from nss_ros.config import MultiwayConfig
-from nss_ros.fragment import Fragment, FragmentId
-from nss_ros.multiway.multi_stage_map import MultiStageMap, solve
+from nss_ros.config import MultiwayConfig, RegistrationConfig
+from nss_ros.dataset.folder import DatasetFolder
+from nss_ros.fragment import FragmentId
+from nss_ros.multiway.multi_stage_map import MultiStageMap
 from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
+from nss_ros.multiway.solver import Problem, prepared_by, solve
 from nss_ros.registration.relative_transform import RelativeTransform
-
-_ANY = 1.0  # metres; the map of a task has no points to voxelise
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,28 +21,30 @@ class AreaTask:
 
     Attributes:
         config: which synchronizer, and its settings.
+        dataset: folder that holds the points of the fragments.
         fragments: of the area.
         results: answers to its pairs, failures too.
-        gravity_aligned: the fragments are levelled.
     """
 
     config: MultiwayConfig
+    dataset: Path
     fragments: tuple[FragmentId, ...]
     results: tuple[RelativeTransform, ...]
-    gravity_aligned: bool
 
 
 def area_map(task: AreaTask) -> PoseGraph | str:
     """The map of an area, as the pose-graph node makes it; or for people, why there is none."""
-    map_ = MultiStageMap(_ANY)
+    map_ = MultiStageMap(RegistrationConfig().voxel_size)
+    dataset = DatasetFolder(task.dataset)
     for id_ in task.fragments:
-        no_points = np.zeros((0, 3), dtype=np.float32)
-        map_.add_fragment(Fragment(id_, no_points, task.gravity_aligned))
+        map_.add_fragment(dataset.fragment(id_))
     for result in task.results:
         map_.add_pair(result.pair)
         map_.add_result(result)
+    ids = sorted(map_.fragments)
+    problem = Problem(task.config, ids, map_.measurements(), map_.unused_edges())
     try:
-        return solve(task.config, sorted(map_.fragments), map_.measurements(), map_.unused_edges())
+        return solve(problem, prepared_by(task.config, (map_.fragments[id_] for id_ in ids)))
     except Exception as error:  # a plug-in may raise anything, and other maps are to be made
         return f"{type(error).__name__}: {error}"
 

@@ -208,13 +208,12 @@ class _Writer:
         table = self.plan.splits[BatchSplit(log.split)]
         answers = self.journal.of(log.method)
         config = _multiway(self.config, log.synchronizer)
-        level = self.dataset.manifest.gravity_aligned
         return [
             AreaTask(
                 config,
+                self.dataset.path,
                 tuple(fragments_of(part)),
                 tuple(answers[pair].result for pair in part.pairs),
-                level,
             )
             for part in _by_area(table).values()
         ]

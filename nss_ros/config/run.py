@@ -147,11 +147,15 @@ class MultiwayConfig(Section):
     """How relative transforms become poses (Choi et al. 2015)."""
 
     synchronizer: str = Field(
-        "choi", description="Registered name of the multi-way method; see 'nss methods'"
+        "submaps", description="Registered name of the multi-way method; see 'nss methods'"
     )
     start: Literal["evidence", "triangles", "confidence"] = Field(
         "evidence",
         description="Initial poses: by the evidence of all hypotheses, or of a spanning tree by triangle support, or by confidence as in the paper's set-up",
+    )
+    weights: str = Field(
+        "",
+        description="File of trained weights by which submaps are registered; empty: those that come with the package",
     )
     max_distance: Positive = Field(
         0.2, description="Correspondence distance that scales the line process, metres"

@@ -64,22 +64,34 @@ class Choi:
         self._config = config
 
     def synchronize(
-        self, fragments: Sequence[FragmentId], measurements: Sequence[Measurement]
+        self,
+        fragments: Sequence[FragmentId],
+        measurements: Sequence[Measurement],
+        start: Poses | None = None,
+        rejected: Sequence[tuple[Measurement, str]] = (),
     ) -> PoseGraph:
-        """Poses of all fragments; see `Synchronizer.synchronize`."""
+        """Poses of all fragments; see `Synchronizer.synchronize`.
+
+        Args:
+            fragments: all of them.
+            measurements: between them.
+            start: initial poses of all fragments, if they are known.
+            rejected: measurements that only become rejected edges, and why.
+        """
         ids = sorted(set(fragments))
         edges = [_Judged(m) for m in sorted(measurements, key=_canonical)]
         self._reject_at_once(edges, set(ids))
-        poses: Poses = {}
-        if self._config.start == "evidence":
-            poses = self._join(ids, edges)
+        known = start or {}
+        if start is None and self._config.start == "evidence":
+            known = self._join(ids, edges)
         self._count_support(edges)
+        poses = known
         for _ in range(_MOST_ROUNDS):
-            known = poses if self._config.start == "evidence" else {}
-            poses = self._optimise(ids, edges, known)
+            poses = self._optimise(ids, edges, poses if known else {})
             if not self._judge(edges, poses):
                 break
         self._reject_bridges(ids, edges)
+        edges += [_Judged(m, False, reason, weight=0.0) for m, reason in rejected]
         return _graph(ids, edges, poses, self.name)
 
     def _reject_at_once(self, edges: list[_Judged], known: set[FragmentId]) -> None:

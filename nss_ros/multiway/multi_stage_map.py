@@ -6,12 +6,9 @@ exclusions, so it does not depend on the order in which they came.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from nss_ros.config import MultiwayConfig
 from nss_ros.errors import InputError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair, Points, voxelize
 from nss_ros.geometry import Matrix, Transform, transform_points
@@ -24,7 +21,6 @@ from nss_ros.multiway.pose_graph import (
     NodeStatus,
     PoseGraph,
 )
-from nss_ros.multiway.synchronizer import load_synchronizer
 from nss_ros.registration.relative_transform import RelativeTransform
 
 # Why an edge is rejected that a person excluded; saved maps are recognised by it.
@@ -77,6 +73,11 @@ class MultiStageMap:
         self.results[result.pair] = result
         self.version += 1
         return True
+
+    @property
+    def complete(self) -> bool:
+        """Whether every pair that was asked for is answered."""
+        return self.pairs <= self.results.keys()
 
     def add_constraint(
         self, pair: FragmentPair, T_target_source: Transform, covariance: Matrix | None = None
@@ -142,28 +143,6 @@ class MultiStageMap:
     def _level(self, pair: FragmentPair) -> bool:
         ends = (self.fragments.get(pair.source), self.fragments.get(pair.target))
         return all(fragment is not None and fragment.gravity_aligned for fragment in ends)
-
-
-def solve(
-    config: MultiwayConfig,
-    fragments: Sequence[FragmentId],
-    measurements: Sequence[Measurement],
-    unused: Sequence[Edge],
-) -> PoseGraph:
-    """The pose graph of a map's content; a function of its own so that a process can run it.
-
-    Args:
-        config: which synchronizer, and its settings.
-        fragments: all ids.
-        measurements: `MultiStageMap.measurements`.
-        unused: `MultiStageMap.unused_edges`, carried over into the graph.
-
-    Returns:
-        Nodes and edges in canonical order.
-    """
-    graph = load_synchronizer(config).synchronize(fragments, measurements)
-    edges = sorted((*graph.edges, *unused), key=lambda edge: (edge.pair, edge.kind))
-    return PoseGraph(graph.nodes, tuple(edges), graph.name, graph.synchronizer)
 
 
 def map_points(

@@ -17,6 +17,7 @@ class EdgeKind(IntEnum):
     SAME_STAGE = 0
     DIFFERENT_STAGE = 1
     MANUAL = 2
+    SUBMAP = 3
 
 
 class EdgeStatus(IntEnum):
@@ -62,6 +63,7 @@ class Measurement:
         inliers: points that support it.
         level: both fragments are gravity aligned, so a right transform does not tilt.
         manual: given by a person; never rejected.
+        submap: found by registering submaps, not an answer to a pair.
         alternatives: further hypotheses, the most probable first.
     """
 
@@ -72,13 +74,16 @@ class Measurement:
     inliers: int = 0
     level: bool = False
     manual: bool = False
+    submap: bool = False
     alternatives: tuple[Alternative, ...] = ()
 
     @property
     def kind(self) -> EdgeKind:
-        """Same stage, different stage or manual."""
+        """Same stage, different stage, manual or submap."""
         if self.manual:
             return EdgeKind.MANUAL
+        if self.submap:
+            return EdgeKind.SUBMAP
         return EdgeKind.SAME_STAGE if self.pair.same_stage else EdgeKind.DIFFERENT_STAGE
 
 
@@ -111,7 +116,7 @@ class Edge:
         T_target_source: (4, 4) as measured (ground truth: as given).
         covariance: (6, 6) as measured, order x y z rx ry rz (m, rad), target frame; zero when
             not known.
-        kind: same stage, different stage or manual.
+        kind: same stage, different stage, manual or submap.
         status: accepted, rejected or failed.
         reason: for people, why it was rejected or failed.
         residual_translation: metres between measured and optimised; NaN when not placed.

@@ -26,8 +26,8 @@ from nss_ros.geometry import (
 from nss_ros.icp import Surface, refine
 from nss_ros.multiway.agglomeration import Ambiguous, Votes
 from nss_ros.multiway.spanning_tree import Closeness, Poses
+from nss_ros.multiway.submap_fragment import SubmapFragment
 from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
-from nss_ros.registration.gravity.method import GravityFeatures
 
 # Points of a submap: of its surface, and of what is moved in ICP.
 _VOXEL_SIZE = 0.1
@@ -41,7 +41,7 @@ _MOST_TRANSLATION, _MOST_ROTATION = 0.6, np.radians(6)
 # Pairs share what they saw with the canvases, so what they say counts half.
 _PAIRS_WEIGHT = 0.5
 
-Features = Mapping[FragmentId, GravityFeatures]
+Fragments = Mapping[FragmentId, SubmapFragment]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,25 +63,24 @@ class Submap:
     floor: float
 
     @classmethod
-    def of(cls, poses: Poses, features: Features) -> Submap:
+    def of(cls, poses: Poses, fragments: Fragments) -> Submap:
         """A submap of fragments with features."""
-        return cls._with(poses, Canvas.of(poses, _maps(poses, features)), features)
+        return cls._with(poses, Canvas.of(poses, _maps(poses, fragments)), fragments)
 
-    def joined(self, other: Submap, T_self_other: Transform, features: Features) -> Submap:
+    def joined(self, other: Submap, T_self_other: Transform, fragments: Fragments) -> Submap:
         """This submap with the fragments of another."""
         added = {id_: T_self_other @ pose for id_, pose in other.poses.items()}
-        canvas = self.canvas.extended(added, _maps(added, features))
-        return self._with(self.poses | added, canvas, features)
+        canvas = self.canvas.extended(added, _maps(added, fragments))
+        return self._with(self.poses | added, canvas, fragments)
 
     @classmethod
-    def _with(cls, poses: Poses, canvas: Canvas, features: Features) -> Submap:
+    def _with(cls, poses: Poses, canvas: Canvas, fragments: Fragments) -> Submap:
         points, normals, floors = [], [], []
         for id_, pose in poses.items():
-            shape = features[id_].shape
-            assert shape is not None
-            points.append(transform_points(pose, shape.surface.points))
-            normals.append(shape.surface.normals @ pose[:3, :3].T)
-            floors.append(pose[2, 3] + shape.floor.height)
+            fragment = fragments[id_]
+            points.append(transform_points(pose, fragment.points))
+            normals.append(fragment.normals @ pose[:3, :3].T)
+            floors.append(pose[2, 3] + fragment.floor)
         cloud, directions = np.concatenate(points), np.concatenate(normals)
         kept = _voxels(cloud)
         cloud, directions = cloud[kept], directions[kept]
@@ -94,13 +93,8 @@ class Submap:
         )
 
 
-def _maps(poses: Poses, features: Features) -> dict[FragmentId, NDArray[np.float32]]:
-    maps = {}
-    for id_ in poses:
-        each = features[id_].maps
-        assert each is not None
-        maps[id_] = each
-    return maps
+def _maps(poses: Poses, fragments: Fragments) -> dict[FragmentId, NDArray[np.float32]]:
+    return {id_: fragments[id_].maps.astype(np.float32) for id_ in poses}
 
 
 def _voxels(points: NDArray[np.float64]) -> NDArray[np.intp]:

@@ -16,11 +16,11 @@ from nss_ros.geometry import inverse
 from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
 from nss_ros.multiway.pose_graph import Measurement
 from nss_ros.multiway.spanning_tree import Closeness, Poses
-from nss_ros.multiway.submap import Features, Submap, SubmapLink, register_submaps
+from nss_ros.multiway.submap import Fragments, Submap, SubmapLink, register_submaps
 
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
-_SURE_PAIRS, _LEAST_ODDS = 1.0, 2.0
+_SURE_PAIRS, _LEAST_ODDS = 1.0, 0.0
 # Links of small submaps are measured when no link of a larger one is left.
 _SMALL, _LATER = 3, -1000.0
 
@@ -28,18 +28,18 @@ _SMALL, _LATER = 3, -1000.0
 def joined_submaps(
     fragments: Iterable[FragmentId],
     measurements: Sequence[Measurement],
-    features: Features,
+    prepared: Fragments,
     close: Closeness,
 ) -> list[Poses]:
     """Submaps, largest first, each with poses in a frame of its own.
 
     Args:
-        fragments: all of them, each with features.
+        fragments: all of them.
         measurements: between them, with their alternatives.
-        features: of the fragments.
+        prepared: the fragments.
         close: when two poses of a fragment agree.
     """
-    joining = Joining(fragments, measurements, features, close)
+    joining = Joining(fragments, measurements, prepared, close)
     for _ in joining:
         pass
     return joining.parts()
@@ -52,13 +52,13 @@ class Joining:
         self,
         fragments: Iterable[FragmentId],
         measurements: Sequence[Measurement],
-        features: Features,
+        prepared: Fragments,
         close: Closeness,
     ) -> None:
         within = [m for m in measurements if m.pair.same_stage]
         parts = joined_parts(fragments, within, close, _SURE_PAIRS)
-        self._features, self._close = features, close
-        self.submaps = {n: Submap.of(part, features) for n, part in enumerate(parts)}
+        self._prepared, self._close = prepared, close
+        self.submaps = {n: Submap.of(part, prepared) for n, part in enumerate(parts)}
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
         # A link that was not measured yet, or before one of its submaps grew, has no transform.
         self._links: dict[tuple[int, int], SubmapLink | None] = {}
@@ -117,7 +117,7 @@ class Joining:
         if len(self.submaps[other].poses) > len(self.submaps[one].poses):
             one, other, transform = other, one, inverse(transform)
         added = self.submaps.pop(other)
-        self.submaps[one] = self.submaps[one].joined(added, transform, self._features)
+        self.submaps[one] = self.submaps[one].joined(added, transform, self._prepared)
         for third, between in self._pairs.pop(other).items():
             del self._pairs[third][other]
             known = self._links.pop((min(other, third), max(other, third)))

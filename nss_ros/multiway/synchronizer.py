@@ -6,13 +6,13 @@ point is called with a `MultiwayConfig` and returns a `Synchronizer`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points
-from typing import Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from nss_ros.config import MultiwayConfig
 from nss_ros.errors import MethodError
-from nss_ros.fragment import FragmentId
+from nss_ros.fragment import Fragment, FragmentId
 from nss_ros.multiway.pose_graph import Measurement, PoseGraph
 
 ENTRY_POINT_GROUP = "nss_ros.synchronizers"
@@ -32,6 +32,27 @@ class Synchronizer(Protocol):
         and every measurement an edge, both in canonical order; fragments that no accepted edge
         links to another are UNPLACED; each connected component has a map frame of its own.
         """
+        ...
+
+
+@runtime_checkable
+class PointSynchronizer(Synchronizer, Protocol):
+    """A synchronizer that looks at the points, too, once there is time for it.
+
+    While answers still come in, and where no points are at hand, `synchronize` is called.
+    """
+
+    def prepare(self, fragment: Fragment) -> Any:
+        """What it needs of a fragment, made once; None if it cannot use this one."""
+        ...
+
+    def synchronize_points(
+        self,
+        fragments: Sequence[FragmentId],
+        measurements: Sequence[Measurement],
+        prepared: Mapping[FragmentId, Any],
+    ) -> PoseGraph:
+        """As `synchronize`, with what `prepare` made of the fragments that it can use."""
         ...
 
 

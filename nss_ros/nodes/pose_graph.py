@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from concurrent.futures import Future as SolutionFuture
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -29,7 +28,7 @@ from nss_msgs.msg import PoseGraph as PoseGraphMessage
 from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
 from nss_msgs.srv import AddConstraint, MapFile, RemoveConstraint
 from nss_ros import topics
-from nss_ros.config import PoseGraphConfig
+from nss_ros.config import PoseGraphConfig, RegistrationConfig
 from nss_ros.errors import BagError, FormatError, InputError, NssError, RunError
 from nss_ros.fragment import Fragment
 from nss_ros.geometry import to_quaternion
@@ -45,16 +44,16 @@ from nss_ros.messages import (
     rosidl_family,
 )
 from nss_ros.multiway.map_file import load_map, save_map
-from nss_ros.multiway.multi_stage_map import MultiStageMap, map_points, solve
+from nss_ros.multiway.multi_stage_map import MultiStageMap, map_points
 from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
-from nss_ros.multiway.synchronizer import load_synchronizer
+from nss_ros.multiway.solver import Problem, Solver
+from nss_ros.multiway.synchronizer import PointSynchronizer, load_synchronizer
 from nss_ros.nodes.diagnostics import Health, publish_diagnostics
 from nss_ros.nodes.intake import converted
 from nss_ros.nodes.markers import graph_markers
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
 from nss_ros.nodes.qos import publisher_qos, subscription_qos
 from nss_ros.nodes.spin import Background, run_node
-from nss_ros.worker_process import stop_now, worker_pool
 
 _POLL = 0.05
 _TF_PERIOD = 1.0
@@ -72,20 +71,23 @@ class PoseGraphNode(Node):
     def __init__(self) -> None:
         super().__init__("pose_graph")
         self._config = declare_parameters(self, PoseGraphConfig)
-        load_synchronizer(self._config)
+        self._takes_points = _takes_points(self._config)
         self._lock = threading.Lock()
-        self._map = MultiStageMap(self._config.map_voxel_size)
+        self._map = self._new_map()
         self._graph = PoseGraph(synchronizer=self._config.synchronizer)
         self._fragments_in: SimpleQueue[Fragment] = SimpleQueue()
         self._waiting_for_optimum: list[threading.Event] = []
         self._solved_version = 0
+        self._forgotten = False
         self._settled = True
         self._last_change = self._last_solve = time.monotonic()
         self._solve_time = 0.0
-        self._solver = _solver()
+        self._solver = Solver()
         self._solver_deaths = 0
         self._solution: SolutionFuture[PoseGraph] | None = None
         self._solving_version = 0
+        # With all that the synchronizer can use; a quick solution goes without points.
+        self._solving_thoroughly = self._solved_thoroughly = False
         self._solving_for: list[threading.Event] = []
         self._create_publishers()
         self._create_subscriptions()
@@ -98,7 +100,10 @@ class PoseGraphNode(Node):
     def close(self) -> None:
         """End the worker."""
         self.background.stop()
-        stop_now(self._solver)
+        self._solver.close()
+
+    def _new_map(self) -> MultiStageMap:
+        return MultiStageMap(min(self._config.map_voxel_size, RegistrationConfig().voxel_size))
 
     def _create_publishers(self) -> None:
         def publisher(message_type: type, topic: topics.Topic) -> Publisher:
@@ -134,6 +139,7 @@ class PoseGraphNode(Node):
     def _apply(self, config: PoseGraphConfig) -> None:
         with self._lock:
             self._config = config
+            self._takes_points = _takes_points(config)
             self._map.version += 1
             self._changed()
 
@@ -271,8 +277,9 @@ class PoseGraphNode(Node):
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> object:
         with self._lock:
             version = self._map.version
-            self._map = MultiStageMap(self._config.map_voxel_size)
+            self._map = self._new_map()
             self._map.version = version + 1
+            self._forgotten = True
             self._changed()
         response.success = True
         response.message = "Forgot all fragments, relative transforms and constraints."
@@ -322,7 +329,15 @@ class PoseGraphNode(Node):
         return unheard and self._fragments_in.empty()
 
     def _outdated(self) -> bool:
-        return self._map.version != self._solved_version
+        if self._map.version != self._solved_version:
+            return True
+        return self._wants_points() and not self._solved_thoroughly
+
+    def _wants_points(self) -> bool:
+        """Whether it is time for the slow solution: nothing more is to be expected."""
+        if not self._takes_points:
+            return False
+        return bool(self._waiting_for_optimum) or (self._quiet() and self._map.complete)
 
     def _due(self) -> bool:
         # Long optimisations get longer pauses, so that they take a third of the time at most.
@@ -344,16 +359,25 @@ class PoseGraphNode(Node):
 
     def _begin_solution(self) -> None:
         with self._lock:
+            thoroughly = self._wants_points()
+            if self._forgotten:
+                self._solver.restart()
+                self._forgotten = False
             self._solving_version = self._map.version
-            problem = (
+            problem = Problem(
                 self._config,
                 sorted(self._map.fragments),
                 self._map.measurements(),
                 self._map.unused_edges(),
             )
+            fragments = dict(self._map.fragments)
             self._solving_for, self._waiting_for_optimum = self._waiting_for_optimum, []
+        self._solving_thoroughly = thoroughly
         self._last_solve = time.monotonic()
-        self._solution = self._solver.submit(solve, *problem)
+        if thoroughly:
+            self._solution = self._solver.solve_with_points(problem, fragments)
+        else:
+            self._solution = self._solver.solve(problem)
 
     def _finish_solution(self) -> None:
         solution, self._solution = self._solution, None
@@ -365,9 +389,12 @@ class PoseGraphNode(Node):
             return
         self._solver_deaths = 0
         now = time.monotonic()
-        self._solve_time, self._last_solve = now - self._last_solve, now
+        if not self._solving_thoroughly:
+            self._solve_time = now - self._last_solve
+        self._last_solve = now
         with self._lock:
             self._graph, self._solved_version = graph, self._solving_version
+            self._solved_thoroughly = self._solving_thoroughly
         self._publish_graph()
         self._publish_map()
         for done in self._solving_for:
@@ -382,7 +409,7 @@ class PoseGraphNode(Node):
         self.get_logger().error("The optimiser's process died: starting another.")
         with self._lock:
             self._waiting_for_optimum += self._solving_for
-        self._solver = _solver()
+        self._solver.restart()
 
     def _stamp(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -438,9 +465,13 @@ class PoseGraphNode(Node):
         self._map_cloud.publish(cloud_message(columns, frame, stamp, family))
 
 
-def _solver() -> ProcessPoolExecutor:
-    """One worker process: the optimiser holds the interpreter lock for as long as it runs."""
-    return worker_pool(1)
+def _takes_points(config: PoseGraphConfig) -> bool:
+    """Whether the synchronizer looks at points.
+
+    Raises:
+        MethodError: there is no such synchronizer, or it lacks something.
+    """
+    return isinstance(load_synchronizer(config), PointSynchronizer)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -15,6 +15,7 @@ from rclpy.node import Node
 from nss_msgs.msg import Fragment as FragmentMessage
 from nss_msgs.msg import FragmentPair as PairMessage
 from nss_msgs.msg import PoseGraph as PoseGraphMessage
+from nss_msgs.msg import PoseGraphEdge
 from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
 from nss_ros import topics
 from nss_ros.config import RegistrationNodeConfig
@@ -92,7 +93,8 @@ class Registration(Node):
 
     def _on_pose_graph(self, message: PoseGraphMessage) -> None:
         """Remember what was answered, by this node before it was restarted for example."""
-        pairs = (converted(self, pair_from, edge) for edge in message.edges)
+        answers = (edge for edge in message.edges if edge.kind != PoseGraphEdge.KIND_SUBMAP)
+        pairs = (converted(self, pair_from, edge) for edge in answers)
         self._answered.update(pair for pair in pairs if pair)
 
     def _health(self) -> Health:

@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nss_ros.config import RegistrationConfig
-from nss_ros.fragment import Fragment, FragmentId, FragmentPair, clean_points
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import Transform, relative, rotation_angle
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
 from nss_ros.registration.gravity.correlation import score_parts
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
-from nss_ros.registration.gravity.scan import LevelScan, scan_of
+from nss_ros.registration.gravity.scan import LevelScan, reaches_far, scan_of
 from nss_ros.registration.gravity.search import Search, search
 from nss_ros.registration.gravity.verifier import judge
 from nss_ros.registration.gravity.weights import Networks, load_weights
@@ -40,8 +40,6 @@ _SAME_TRANSLATION, _SAME_ROTATION = 0.1, np.radians(3)
 _LEAST_PROBABILITY = 0.01
 # Poses this much less likely than the best one, by the logarithm, are hardly ever right.
 _MOST_MARGIN = 7.0
-# The maps end at 4.8 m. Two scanners that see much farther are better told apart by all they see.
-_MOST_REACH = 7.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +81,7 @@ class Gravity:
             generic = self._generic.prepare(fragment)
             return GravityFeatures(fragment.id, len(generic.points), None, None, generic)
         features = self.prepare_scan(scan_of(fragment, self.config))
-        if _reach(fragment) > _MOST_REACH:
+        if reaches_far(fragment):
             features = replace(features, generic=self._generic.prepare(fragment))
         return features
 
@@ -177,12 +175,6 @@ class Gravity:
             rmse=best.support.rmse,
             alternatives=hypotheses,
         )
-
-
-def _reach(fragment: Fragment) -> float:
-    """Horizontal distance of the farther points, metres."""
-    points = clean_points(fragment.points)
-    return float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)) if len(points) else 0.0
 
 
 def feature_maps(network: GravityNetwork, scan: LevelScan) -> NDArray[np.float32]:

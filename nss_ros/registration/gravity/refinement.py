@@ -23,7 +23,7 @@ from nss_ros.registration.validation import Support, support
 _KERNEL = 0.05
 _DAMPING = 0.005
 # Few points at first, all that are wanted at last.
-_COARSE_POINTS, _COARSE_ITERATIONS, _FINE_ITERATIONS = 1500, 10, 5
+COARSE_POINTS, _COARSE_ITERATIONS, _FINE_ITERATIONS = 1500, 10, 5
 _THIN_POINTS = 800
 # An alignment that leaves the cell of the search was carried away; then the pose of the search,
 # which is about this good, stands.
@@ -103,7 +103,7 @@ class Shape:
             scan.floor,
             Surface.of(scan.points, normals),
             Surface.sample(scan.points, normals, _THIN_POINTS),
-            Surface.sample(scan.points, normals, _COARSE_POINTS),
+            Surface.sample(scan.points, normals, COARSE_POINTS),
             Surface.sample(scan.points, normals, config.icp.max_points),
             levels,
             cKDTree(levels),
@@ -142,15 +142,34 @@ def aligned(source: Shape, target: Shape, peak: Peak, config: RegistrationConfig
     """
     start = from_yaw(peak.yaw, (peak.x, peak.y, 0.0))
     start[2, 3] = _height(source, target, start)
-    refined = _refined(source.coarse, target.surface, start, _COARSE_ITERATIONS, config)
-    refined = _refined(
-        source.moderate, target.surface, refined.T_target_source, _FINE_ITERATIONS, config
+    return Alignment(
+        peak, refined_near(source.coarse, source.moderate, target.surface, start, config)
     )
-    if not _is_near(refined.T_target_source, start):
-        there = _refined(source.moderate, target.surface, start, 0, config)
-        information = np.asarray(np.linalg.inv(there.covariance + _PEAK_COVARIANCE))
-        refined = replace(there, information=information, converged=False)
-    return Alignment(peak, refined)
+
+
+def refined_near(
+    coarse: Surface,
+    moderate: Surface,
+    target: Surface,
+    start: Transform,
+    config: RegistrationConfig,
+) -> Refined:
+    """The alignment near a transform; the transform itself where ICP leaves it behind.
+
+    Args:
+        coarse: few points of the source.
+        moderate: more of them.
+        target: all points.
+        start: `T_target_source`.
+        config: settings.
+    """
+    refined = _refined(coarse, target, start, _COARSE_ITERATIONS, config)
+    refined = _refined(moderate, target, refined.T_target_source, _FINE_ITERATIONS, config)
+    if _is_near(refined.T_target_source, start):
+        return refined
+    there = _refined(moderate, target, start, 0, config)
+    information = np.asarray(np.linalg.inv(there.covariance + _PEAK_COVARIANCE))
+    return replace(there, information=information, converged=False)
 
 
 def _refined(

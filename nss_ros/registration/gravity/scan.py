@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, Points, clean_points, voxelize
 from nss_ros.registration.features import surface_normals
@@ -11,6 +13,8 @@ from nss_ros.registration.gravity.raster import Floor, Raster, find_floor, raste
 
 _VOXEL_SIZE = 0.075
 _FARTHEST = 12.0
+# The maps end at 4.8 m. Two scanners that see much farther are better told apart by all they see.
+_MOST_REACH = 7.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,3 +44,11 @@ def scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
     normals = surface_normals(points, config.fpfh.normal_radius)
     floor = find_floor(points, normals)
     return LevelScan(fragment.id, points, normals, floor, rasterize(points, normals, floor.height))
+
+
+def reaches_far(fragment: Fragment) -> bool:
+    """Whether most of what the scanner saw is beyond the maps."""
+    points = clean_points(fragment.points)
+    if len(points) == 0:
+        return False
+    return float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)) > _MOST_REACH

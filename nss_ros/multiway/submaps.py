@@ -1,0 +1,118 @@
+"""The synchronizer `submaps`: what is ambiguous between two fragments, submaps decide.
+
+The relative transforms of pairs, each ambiguous on its own, are judged by submaps: of each pair
+the hypothesis that fits stays, and relative transforms are found that no pair gave. The line
+process of `choi` then has the last word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from nss_ros.config import GravityConfig, MultiwayConfig, RegistrationConfig
+from nss_ros.fragment import Fragment, FragmentId
+from nss_ros.geometry import relative
+from nss_ros.multiway.choi import Choi
+from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures
+from nss_ros.multiway.hypotheses import fitting_hypothesis
+from nss_ros.multiway.pose_graph import Measurement, PoseGraph
+from nss_ros.multiway.spanning_tree import Closeness, Poses
+from nss_ros.multiway.submap_fragment import SubmapFragment, submap_fragment
+from nss_ros.multiway.submap_joining import joined_submaps
+from nss_ros.registration.gravity.weights import load_weights
+
+
+class Submaps:
+    """Registration of submaps, then line-process optimisation.
+
+    Args:
+        config: settings.
+
+    Raises:
+        MethodError: the weights cannot be read.
+    """
+
+    name = "submaps"
+
+    def __init__(self, config: MultiwayConfig) -> None:
+        self._config = config
+        self._registration = RegistrationConfig(gravity=GravityConfig(weights=config.weights))
+        self._network, _ = load_weights(config.weights)
+        self._choi = Choi(config)
+
+    def prepare(self, fragment: Fragment) -> SubmapFragment | None:
+        """A fragment as a part of submaps; None if it cannot be: see `submap_fragment`."""
+        return submap_fragment(fragment, self._network, self._registration)
+
+    def synchronize(
+        self, fragments: Sequence[FragmentId], measurements: Sequence[Measurement]
+    ) -> PoseGraph:
+        """Without points: the result of `choi`."""
+        graph = self._choi.synchronize(fragments, measurements)
+        return replace(graph, synchronizer=self.name)
+
+    def synchronize_points(
+        self,
+        fragments: Sequence[FragmentId],
+        measurements: Sequence[Measurement],
+        prepared: Mapping[FragmentId, SubmapFragment],
+    ) -> PoseGraph:
+        """Poses of all fragments; see `PointSynchronizer.synchronize_points`.
+
+        Measurements of fragments that cannot be part of a submap are passed on to `choi` as they
+        are.
+        """
+        ids = [id_ for id_ in sorted(set(fragments)) if id_ in prepared]
+        inside = [m for m in measurements if _both(m, prepared)]
+        outside = [m for m in measurements if not _both(m, prepared)]
+        close = Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
+        parts = joined_submaps(ids, inside, prepared, close)
+        kept, rejected = _judged(inside, parts, close)
+        found = [
+            each
+            for part in parts
+            for each in closures(part, _within(kept, part), prepared, self._registration)
+        ]
+        poses = {id_: pose for part in parts for id_, pose in part.items()}
+        graph = self._choi.synchronize(
+            fragments,
+            [*outside, *kept, *found],
+            poses if not outside and len(poses) == len(set(fragments)) else None,
+            rejected,
+        )
+        return replace(graph, synchronizer=self.name)
+
+
+def _both(m: Measurement, prepared: Mapping[FragmentId, SubmapFragment]) -> bool:
+    return m.pair.source in prepared and m.pair.target in prepared
+
+
+def _within(measurements: Sequence[Measurement], part: Poses) -> list[Measurement]:
+    return [m for m in measurements if m.pair.source in part and m.pair.target in part]
+
+
+def _judged(
+    measurements: Sequence[Measurement], parts: Sequence[Poses], close: Closeness
+) -> tuple[list[Measurement], list[tuple[Measurement, str]]]:
+    """Those that fit the submaps, by their fitting hypothesis, and those that do not."""
+    part_of = {id_: part for part in parts for id_ in part}
+    kept: list[Measurement] = []
+    rejected: list[tuple[Measurement, str]] = []
+    for m in measurements:
+        part = part_of[m.pair.source]
+        if m.manual:
+            kept.append(m)
+        elif m.pair.target not in part:
+            rejected.append((m, "too little speaks for joining the submaps that it links"))
+        else:
+            there = relative(part[m.pair.source], part[m.pair.target])
+            fitting = fitting_hypothesis(m, there, close)
+            if fitting is None:
+                rejected.append((m, "none of its hypotheses agrees with the submaps"))
+            else:
+                sure = max(fitting.confidence, SUBMAP_CONFIDENCE)
+                kept.append(replace(fitting, confidence=sure))
+    return kept, rejected
