@@ -31,6 +31,8 @@ from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_sea
 
 # Points of a submap: of its surface, and of what is moved in ICP.
 _VOXEL_SIZE = 0.1
+# Slices of a fragment whose floor is farther from that of its submap, metres, are made anew.
+_SAME_FLOOR = 0.04
 _MOVED_POINTS = 1500
 # Poses that are scored, from the pairs and from the search; those that are aligned.
 _FROM_PAIRS, _FROM_SEARCH, _MOST_ALIGNED = 12, 20, 4
@@ -53,7 +55,7 @@ class Submap:
         canvas: their features.
         surface: all points.
         moved: some of them.
-        floor: median height of the floors, metres.
+        floor: height above which the slices of the features are, metres.
     """
 
     poses: Poses
@@ -65,36 +67,38 @@ class Submap:
     @classmethod
     def of(cls, poses: Poses, fragments: Fragments) -> Submap:
         """A submap of fragments with features."""
-        return cls._with(poses, Canvas.of(poses, _maps(poses, fragments)), fragments)
+        floor = float(np.median([pose[2, 3] + fragments[id_].floor for id_, pose in poses.items()]))
+        canvas = Canvas.of(poses, _on_floor(poses, fragments, floor))
+        return cls._with(poses, canvas, floor, fragments)
 
     def joined(self, other: Submap, T_self_other: Transform, fragments: Fragments) -> Submap:
         """This submap with the fragments of another."""
         added = {id_: T_self_other @ pose for id_, pose in other.poses.items()}
-        canvas = self.canvas.extended(added, _maps(added, fragments))
-        return self._with(self.poses | added, canvas, fragments)
+        canvas = self.canvas.extended(added, _on_floor(added, fragments, self.floor))
+        return self._with(self.poses | added, canvas, self.floor, fragments)
 
     @classmethod
-    def _with(cls, poses: Poses, canvas: Canvas, fragments: Fragments) -> Submap:
-        points, normals, floors = [], [], []
+    def _with(cls, poses: Poses, canvas: Canvas, floor: float, fragments: Fragments) -> Submap:
+        points, normals = [], []
         for id_, pose in poses.items():
-            fragment = fragments[id_]
-            points.append(transform_points(pose, fragment.points))
-            normals.append(fragment.normals @ pose[:3, :3].T)
-            floors.append(pose[2, 3] + fragment.floor)
+            points.append(transform_points(pose, fragments[id_].points))
+            normals.append(fragments[id_].normals @ pose[:3, :3].T)
         cloud, directions = np.concatenate(points), np.concatenate(normals)
         kept = _voxels(cloud)
         cloud, directions = cloud[kept], directions[kept]
-        return cls(
-            poses,
-            canvas,
-            Surface.of(cloud, directions),
-            Surface.sample(cloud, directions, _MOVED_POINTS),
-            float(np.median(floors)),
-        )
+        moved = Surface.sample(cloud, directions, _MOVED_POINTS)
+        return cls(poses, canvas, Surface.of(cloud, directions), moved, floor)
 
 
-def _maps(poses: Poses, fragments: Fragments) -> dict[FragmentId, NDArray[np.float32]]:
-    return {id_: fragments[id_].maps.astype(np.float32) for id_ in poses}
+def _on_floor(poses: Poses, fragments: Fragments, floor: float) -> dict[FragmentId, SubmapFragment]:
+    """The fragments, seen by slices above one floor."""
+    seen = {}
+    for id_, pose in poses.items():
+        height = floor - float(pose[2, 3])
+        fragment = fragments[id_]
+        other = abs(height - fragment.floor) > _SAME_FLOOR
+        seen[id_] = fragment.at_floor(height) if other else fragment
+    return seen
 
 
 def _voxels(points: NDArray[np.float64]) -> NDArray[np.intp]:

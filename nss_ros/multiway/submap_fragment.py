@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, Points
 from nss_ros.registration.gravity.method import feature_maps
-from nss_ros.registration.gravity.network import GravityNetwork
+from nss_ros.registration.gravity.network import STRIDE, GravityNetwork
+from nss_ros.registration.gravity.raster import FREE, OCCUPIED, Raster, rasterize
 from nss_ros.registration.gravity.scan import LevelScan, reaches_far, scan_of
 
 
@@ -24,6 +25,8 @@ class SubmapFragment:
         normals: (n, 3) float32, unit, towards the sensor.
         floor: height of the floor in the sensor frame, metres.
         maps: (2, CHANNELS, h, w) float16, features for a pair of different stages and of one.
+        seen: (h, w) float16, 0..1, how much of each cell its scanner saw.
+        network: that made the features.
     """
 
     id: FragmentId
@@ -31,12 +34,36 @@ class SubmapFragment:
     normals: Points
     floor: float
     maps: NDArray[np.float16]
+    seen: NDArray[np.float16]
+
+    network: GravityNetwork
 
     @classmethod
     def of(cls, scan: LevelScan, network: GravityNetwork) -> SubmapFragment:
         """A prepared scan with its features."""
-        maps = feature_maps(network, scan).astype(np.float16)
-        return cls(scan.id, scan.points, scan.normals, scan.floor.height, maps)
+        floor = scan.floor.height
+        return cls._mapped(scan.id, scan.points, scan.normals, floor, scan.maps, network)
+
+    def at_floor(self, height: float) -> SubmapFragment:
+        """The fragment with its features by slices above another height.
+
+        Floors are not the same everywhere: what stands on a raised one is seen from a lower one.
+        """
+        maps = rasterize(self.points, self.normals, height)
+        return self._mapped(self.id, self.points, self.normals, height, maps, self.network)
+
+    @classmethod
+    def _mapped(
+        cls,
+        id_: FragmentId,
+        points: Points,
+        normals: Points,
+        floor: float,
+        maps: Raster,
+        network: GravityNetwork,
+    ) -> SubmapFragment:
+        features = feature_maps(network, maps).astype(np.float16)
+        return cls(id_, points, normals, floor, features, _seen(maps), network)
 
 
 def submap_fragment(
@@ -47,3 +74,11 @@ def submap_fragment(
         return None
     scan = scan_of(fragment, config)
     return SubmapFragment.of(scan, network) if len(scan.points) >= config.min_points else None
+
+
+def _seen(maps: Raster) -> NDArray[np.float16]:
+    """How much of each cell of the features was seen, occupied or free, at any height."""
+    seen = (maps[:, OCCUPIED].astype(np.float32) + maps[:, FREE]).max(axis=0).clip(0, 1)
+    cells = len(seen) // STRIDE
+    shares = seen.reshape(cells, STRIDE, cells, STRIDE).mean(axis=(1, 3))
+    return np.asarray(shares, dtype=np.float16)

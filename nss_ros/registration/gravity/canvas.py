@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -26,8 +27,10 @@ from nss_ros.registration.gravity.search import best_places
 # Cells of a fragment's features along each side, and one more on each, for it is not on the grid.
 _WINDOW = SIZE // STRIDE + 2
 _REACH = _WINDOW * STEP / 2
-# A cell where a fragment has less than this in all channels together was not seen by it.
-_LEAST_FEATURE = 0.05
+# The weight of what the network says of cells that a fragment did not see.
+_UNSEEN = 0.05
+# At the rims of the fragments nothing is made larger than it was.
+_LEAST_SEEN = 0.05
 # The search is on cells twice as large: ten times faster, and among its best twenty poses is the
 # right one as often.
 _POOL = 2
@@ -36,8 +39,21 @@ _BATCH = 12
 # Poses that score less than the best one by this, on the cells of the search, are not told.
 _MOST_MARGIN = 10.0
 
-Maps = Mapping[FragmentId, NDArray[np.float32]]
 Poses = Mapping[FragmentId, Transform]
+
+
+class Mapped(Protocol):
+    """A fragment that can be put on a canvas."""
+
+    @property
+    def maps(self) -> NDArray[np.float16]:
+        """(2, CHANNELS, h, w), features for a pair of different stages and of one."""
+        ...
+
+    @property
+    def seen(self) -> NDArray[np.float16]:
+        """(h, w), 0..1, how much of each cell its scanner saw."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +63,7 @@ class Layer:
     Attributes:
         across: (CHANNELS, n, n), of features for pairs of different stages.
         within: (CHANNELS, n, n), of features for pairs of one stage.
-        seen: (n, n), how many fragments saw a cell.
+        seen: (n, n), how many fragments saw a cell; what is not seen counts little.
     """
 
     across: Tensor
@@ -59,6 +75,14 @@ class Layer:
         """A layer without fragments."""
         features = torch.zeros(CHANNELS, size, size)
         return cls(features, features.clone(), torch.zeros(size, size))
+
+    def mean_across(self) -> Tensor:
+        """Features for pairs of different stages."""
+        return self.across / self.seen.clamp(min=_LEAST_SEEN)
+
+    def mean_within(self) -> Tensor:
+        """Features for pairs of one stage."""
+        return self.within / self.seen.clamp(min=_LEAST_SEEN)
 
     def padded(self, rim: int) -> Layer:
         """A copy with `rim` more cells on each side."""
@@ -89,17 +113,17 @@ class Canvas:
         return int(self.features.shape[-1])
 
     @classmethod
-    def of(cls, poses: Poses, maps: Maps) -> Canvas:
-        """The canvas of fragments with poses in one frame, and their `feature_maps`."""
+    def of(cls, poses: Poses, fragments: Mapping[FragmentId, Mapped]) -> Canvas:
+        """The canvas of fragments with poses in one frame, all prepared."""
         places = np.array([pose[:2, 3] for pose in poses.values()])
         low, high = places.min(axis=0), places.max(axis=0)
-        return cls._with((low + high) / 2, {}, poses, maps, float((high - low).max()) / 2)
+        return cls._with((low + high) / 2, {}, poses, fragments, float((high - low).max()) / 2)
 
-    def extended(self, poses: Poses, maps: Maps) -> Canvas:
+    def extended(self, poses: Poses, fragments: Mapping[FragmentId, Mapped]) -> Canvas:
         """This canvas with further fragments in the same frame."""
         places = np.array([pose[:2, 3] for pose in poses.values()])
         reach = float(np.abs(places - self.centre).max())
-        return self._with(self.centre, self.layers, poses, maps, reach)
+        return self._with(self.centre, self.layers, poses, fragments, reach)
 
     @classmethod
     def _with(
@@ -107,7 +131,7 @@ class Canvas:
         centre: NDArray[np.float64],
         layers: Mapping[int, Layer],
         poses: Poses,
-        maps: Maps,
+        fragments: Mapping[FragmentId, Mapped],
         reach: float,
     ) -> Canvas:
         with torch.inference_mode():
@@ -117,28 +141,26 @@ class Canvas:
             new = {stage: each.padded((size - old) // 2) for stage, each in layers.items()}
             for id_, pose in poses.items():
                 layer = new.setdefault(id_.stage, Layer.blank(size))
-                _add(layer, maps[id_], pose, centre)
+                _add(layer, fragments[id_], pose, centre)
             across = torch.stack([each.across for each in new.values()]).sum(dim=0)
             seen = torch.stack([each.seen for each in new.values()]).sum(dim=0)
-            return cls(centre, new, across / seen.clamp(min=1))
+            return cls(centre, new, across / seen.clamp(min=_LEAST_SEEN))
 
 
-def _add(
-    layer: Layer, maps: NDArray[np.float32], pose: Transform, centre: NDArray[np.float64]
-) -> None:
+def _add(layer: Layer, fragment: Mapped, pose: Transform, centre: NDArray[np.float64]) -> None:
     """Add the features of a fragment to a layer, in place."""
     size = layer.seen.shape[-1]
     cell = (pose[:2, 3] - centre) / STEP + size / 2
     start = np.round(cell - _WINDOW / 2).astype(int).clip(0, size - _WINDOW)
     shift = torch.from_numpy((cell - start - _WINDOW / 2) * STEP).float()[None]
     yaw = torch.tensor([math.atan2(pose[1, 0], pose[0, 0])], dtype=torch.float32)
-    across, within = (
-        rotated(torch.from_numpy(each), yaw, shift, _WINDOW)[0] for each in (maps[0], maps[1])
-    )
+    weight = torch.from_numpy(fragment.seen.astype(np.float32)).clamp(min=_UNSEEN)
     columns, rows = (slice(int(first), int(first) + _WINDOW) for first in start)
-    layer.across[:, rows, columns] += across
-    layer.within[:, rows, columns] += within
-    layer.seen[rows, columns] += (across.abs().sum(dim=0) > _LEAST_FEATURE).float()
+    for sums, features in zip((layer.across, layer.within), fragment.maps, strict=True):
+        weighted = torch.from_numpy(features.astype(np.float32)) * weight
+        sums[:, rows, columns] += rotated(weighted, yaw, shift, _WINDOW)[0]
+    everywhere = weight.expand(CHANNELS, *weight.shape)
+    layer.seen[rows, columns] += rotated(everywhere, yaw, shift, _WINDOW)[0, 0]
 
 
 def canvas_score(source: Canvas, target: Canvas, T_target_source: Transform) -> float:
@@ -152,9 +174,8 @@ def canvas_score(source: Canvas, target: Canvas, T_target_source: Transform) -> 
         score = place.product(source.features, target.features)
         for stage in sorted(source.layers.keys() & target.layers.keys()):
             one, other = source.layers[stage], target.layers[stage]
-            seen, seen_there = one.seen.clamp(min=1), other.seen.clamp(min=1)
-            score += place.product(one.within / seen, other.within / seen_there)
-            score -= place.product(one.across / seen, other.across / seen_there)
+            score += place.product(one.mean_within(), other.mean_within())
+            score -= place.product(one.mean_across(), other.mean_across())
         return score
 
 
@@ -223,7 +244,9 @@ def _searched(source: Canvas, target: Canvas) -> tuple[Tensor, Tensor]:
         return source.features, target.features
     (stage,) = source.layers
     one, other = source.layers[stage], target.layers[stage]
-    return one.within / one.seen.clamp(min=1), other.within / other.seen.clamp(min=1)
+    return one.within / one.seen.clamp(min=_LEAST_SEEN), other.within / other.seen.clamp(
+        min=_LEAST_SEEN
+    )
 
 
 def _pooled(features: Tensor) -> Tensor:

@@ -23,6 +23,7 @@ from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
 from nss_ros.registration.gravity.correlation import score_parts
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
+from nss_ros.registration.gravity.raster import Raster
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
 from nss_ros.registration.gravity.scan import LevelScan, reaches_far, scan_of
 from nss_ros.registration.gravity.search import Search, search
@@ -91,7 +92,7 @@ class Gravity:
         if count < self.config.min_points:
             return GravityFeatures(scan.id, count, None, None, None)
         shape = Shape.of(scan, self.config)
-        return GravityFeatures(scan.id, count, shape, feature_maps(self._network, scan), None)
+        return GravityFeatures(scan.id, count, shape, feature_maps(self._network, scan.maps), None)
 
     def register(
         self, source: GravityFeatures, target: GravityFeatures, seed: int
@@ -177,10 +178,10 @@ class Gravity:
         )
 
 
-def feature_maps(network: GravityNetwork, scan: LevelScan) -> NDArray[np.float32]:
+def feature_maps(network: GravityNetwork, raster: Raster) -> NDArray[np.float32]:
     """Features (2, CHANNELS, h, w) as a source, for different stages and for one."""
     with torch.inference_mode():
-        maps = torch.from_numpy(scan.maps).float()[None]
+        maps = torch.from_numpy(raster).float()[None]
         shared = network(maps)
         both = [network.features(maps, shared, bool(kind))[0] for kind in range(2)]
         return np.asarray(torch.stack(both).numpy())
