@@ -9,7 +9,7 @@ of all that they saw, so pairs count that nobody asked for, and free space that 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from nss_ros.icp import Surface, refine
 from nss_ros.multiway.agglomeration import Ambiguous, Votes
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import SubmapFragment
+from nss_ros.registration.gravity.agreement import WallView, agreement
 from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
 
 # Points of a submap: of its surface, and of what is moved in ICP.
@@ -42,6 +43,10 @@ _ICP_DISTANCE, _ICP_ITERATIONS, _KERNEL, _DAMPING = 0.15, 8, 0.05, 0.005
 _MOST_TRANSLATION, _MOST_ROTATION = 0.6, np.radians(6)
 # Pairs share what they saw with the canvases, so what they say counts half.
 _PAIRS_WEIGHT = 0.5
+# Within a stage nothing moves: points in what others saw to be empty, more than some by the noise
+# of the sensor, speak against a pose. Of each pose the nearest pairs of fragments are looked at.
+_CONFLICT_WEIGHT, _NO_CONFLICT = 60.0, 0.02
+_MOST_VIEWS, _VIEW_DISTANCE = 6, 6.0
 
 Fragments = Mapping[FragmentId, SubmapFragment]
 
@@ -56,6 +61,7 @@ class Submap:
         surface: all points.
         moved: some of them.
         floor: height above which the slices of the features are, metres.
+        views: what the scanners of its fragments saw.
     """
 
     poses: Poses
@@ -63,6 +69,7 @@ class Submap:
     surface: Surface
     moved: Surface
     floor: float
+    views: Mapping[FragmentId, WallView]
 
     @classmethod
     def of(cls, poses: Poses, fragments: Fragments) -> Submap:
@@ -87,7 +94,15 @@ class Submap:
         kept = _voxels(cloud)
         cloud, directions = cloud[kept], directions[kept]
         moved = Surface.sample(cloud, directions, _MOVED_POINTS)
-        return cls(poses, canvas, Surface.of(cloud, directions), moved, floor)
+        views = {id_: fragments[id_].view for id_ in poses}
+        return cls(poses, canvas, Surface.of(cloud, directions), moved, floor, views)
+
+    def without(self, id_: FragmentId, fragments: Fragments) -> Submap:
+        """This submap without a fragment, whose points are left in the surface."""
+        pose = self.poses[id_]
+        own = _on_floor({id_: pose}, fragments, self.floor)[id_]
+        poses = {each: pose for each, pose in self.poses.items() if each != id_}
+        return replace(self, poses=poses, canvas=self.canvas.without(id_, pose, own))
 
 
 def _on_floor(poses: Poses, fragments: Fragments, floor: float) -> dict[FragmentId, SubmapFragment]:
@@ -194,10 +209,28 @@ def _score(
     source: Submap, target: Submap, transform: Transform, votes: Votes | None, close: Closeness
 ) -> float:
     score = canvas_score(source.canvas, target.canvas, transform)
+    score -= _CONFLICT_WEIGHT * max(_conflict(source, target, transform) - _NO_CONFLICT, 0.0)
     if votes is not None:
         gain = votes.scores(votes.agreement(transform[None], close))[0] - votes.doubts.sum()
         score += _PAIRS_WEIGHT * float(gain)
     return score
+
+
+def _conflict(source: Submap, target: Submap, transform: Transform) -> float:
+    """Share of what scanners of one stage see of each other's walls that cannot be there."""
+    near = []
+    for id_, pose in source.poses.items():
+        placed = transform @ pose
+        for other, there in target.poses.items():
+            distance = float(np.hypot(*(placed - there)[:2, 3]))
+            if other.stage == id_.stage and distance < _VIEW_DISTANCE:
+                near.append((distance, id_, other))
+    free = shared = 0.0
+    for _, id_, other in sorted(near)[:_MOST_VIEWS]:
+        pair = relative(transform @ source.poses[id_], target.poses[other])
+        seen = agreement(source.views[id_], target.views[other], pair)
+        free, shared = free + seen.free, shared + seen.shared
+    return free / (free + shared) if free else 0.0
 
 
 def _aligned(

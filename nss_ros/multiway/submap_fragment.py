@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, Points
+from nss_ros.registration.gravity.agreement import WallView
 from nss_ros.registration.gravity.method import feature_maps
 from nss_ros.registration.gravity.network import STRIDE, GravityNetwork
 from nss_ros.registration.gravity.raster import FREE, OCCUPIED, Raster, rasterize
@@ -26,6 +27,7 @@ class SubmapFragment:
         floor: height of the floor in the sensor frame, metres.
         maps: (2, CHANNELS, h, w) float16, features for a pair of different stages and of one.
         seen: (h, w) float16, 0..1, how much of each cell its scanner saw.
+        view: what its scanner saw, to tell whether what another of its stage saw can be there.
         network: that made the features.
     """
 
@@ -36,13 +38,22 @@ class SubmapFragment:
     maps: NDArray[np.float16]
     seen: NDArray[np.float16]
 
+    view: WallView
     network: GravityNetwork
 
     @classmethod
     def of(cls, scan: LevelScan, network: GravityNetwork) -> SubmapFragment:
         """A prepared scan with its features."""
-        floor = scan.floor.height
-        return cls._mapped(scan.id, scan.points, scan.normals, floor, scan.maps, network)
+        return cls(
+            scan.id,
+            scan.points,
+            scan.normals,
+            scan.floor.height,
+            feature_maps(network, scan.maps).astype(np.float16),
+            _seen(scan.maps),
+            WallView.of(scan.points, scan.normals),
+            network,
+        )
 
     def at_floor(self, height: float) -> SubmapFragment:
         """The fragment with its features by slices above another height.
@@ -50,20 +61,8 @@ class SubmapFragment:
         Floors are not the same everywhere: what stands on a raised one is seen from a lower one.
         """
         maps = rasterize(self.points, self.normals, height)
-        return self._mapped(self.id, self.points, self.normals, height, maps, self.network)
-
-    @classmethod
-    def _mapped(
-        cls,
-        id_: FragmentId,
-        points: Points,
-        normals: Points,
-        floor: float,
-        maps: Raster,
-        network: GravityNetwork,
-    ) -> SubmapFragment:
-        features = feature_maps(network, maps).astype(np.float16)
-        return cls(id_, points, normals, floor, features, _seen(maps), network)
+        features = feature_maps(self.network, maps).astype(np.float16)
+        return replace(self, floor=height, maps=features, seen=_seen(maps))
 
 
 def submap_fragment(

@@ -20,7 +20,7 @@ from nss_ros.multiway.submap import Fragments, Submap, SubmapLink, register_subm
 
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
-_SURE_PAIRS, _LEAST_ODDS = 1.0, 0.0
+_SURE_PAIRS, _LEAST_ODDS = 2.0, 0.0
 # Links of small submaps are measured when no link of a larger one is left.
 _SMALL, _LATER = 3, -1000.0
 
