@@ -7,7 +7,9 @@ of it are registered with each other, and each that is joined makes the next one
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from heapq import heapify, heappop, heappush
+from itertools import combinations
 
 import numpy as np
 
@@ -21,6 +23,8 @@ from nss_ros.multiway.submap import Fragments, Submap, SubmapLink, register_subm
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
 _SURE_PAIRS, _LEAST_ODDS = 2.0, 0.0
+# Submaps between which no pair was asked for may well not touch: logarithm of the odds of that.
+_UNASKED = 6.0
 # Links of small submaps are measured when no link of a larger one is left.
 _SMALL, _LATER = 3, -1000.0
 
@@ -71,6 +75,11 @@ class Joining:
         return sorted(all_, key=lambda part: (-len(part), min(part)))
 
     def __iter__(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
+        yield from self._join_while_sure()
+        self._link_unasked()
+        yield from self._join_while_sure()
+
+    def _join_while_sure(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
         while self._queue:
             odds, one, other = heappop(self._queue)
             if one not in self.submaps or other not in self.submaps:
@@ -83,6 +92,16 @@ class Joining:
                     return
                 yield link.odds, self.submaps[one], self.submaps[other], link
                 self._join(one, other, link)
+
+    def _link_unasked(self) -> None:
+        """Links of large submaps of one area between which no pair was asked for."""
+        large = [n for n, submap in sorted(self.submaps.items()) if len(submap.poses) >= _SMALL]
+        for one, other in combinations(large, 2):
+            areas = [next(iter(self.submaps[each].poses)).area for each in (one, other)]
+            if areas[0] == areas[1] and (one, other) not in self._links:
+                self._pairs[one][other], self._pairs[other][one] = [], []
+                self._links[one, other] = None
+                heappush(self._queue, (-np.inf, one, other))
 
     def _add_pairs(self, measurements: Sequence[Measurement]) -> None:
         part = {id_: n for n, submap in self.submaps.items() for id_ in submap.poses}
@@ -108,6 +127,8 @@ class Joining:
         """The link that moves the second submap to the first."""
         pairs = self._pairs[one][other]
         link = register_submaps(self.submaps[other], self.submaps[one], pairs, self._close)
+        if not pairs:
+            link = replace(link, odds=link.odds - _UNASKED)
         self._links[one, other] = link
         heappush(self._queue, (-link.odds, one, other))
 
