@@ -24,6 +24,10 @@ from nss_ros.multiway.submap_fragment import SubmapFragment, submap_fragment
 from nss_ros.multiway.submap_joining import joined_submaps
 from nss_ros.registration.gravity.weights import load_weights
 
+# A hypothesis fits a submap when it is this near, metres and radians; of two that are, at the next
+# stud for example, the farther one would pull.
+_FITTING = Closeness(0.15, np.radians(2.5))
+
 
 class Submaps:
     """Registration of submaps, then line-process optimisation.
@@ -70,7 +74,7 @@ class Submaps:
         outside = [m for m in measurements if not _both(m, prepared)]
         close = Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
         parts = joined_submaps(ids, inside, prepared, close)
-        kept, rejected = _judged(inside, parts, close)
+        kept, rejected = _judged(inside, parts)
         found = [
             each
             for part in parts
@@ -95,7 +99,7 @@ def _within(measurements: Sequence[Measurement], part: Poses) -> list[Measuremen
 
 
 def _judged(
-    measurements: Sequence[Measurement], parts: Sequence[Poses], close: Closeness
+    measurements: Sequence[Measurement], parts: Sequence[Poses]
 ) -> tuple[list[Measurement], list[tuple[Measurement, str]]]:
     """Those that fit the submaps, by their fitting hypothesis, and those that do not."""
     part_of = {id_: part for part in parts for id_ in part}
@@ -109,7 +113,7 @@ def _judged(
             rejected.append((m, "too little speaks for joining the submaps that it links"))
         else:
             there = relative(part[m.pair.source], part[m.pair.target])
-            fitting = fitting_hypothesis(m, there, close)
+            fitting = fitting_hypothesis(m, there, _FITTING)
             if fitting is None:
                 rejected.append((m, "none of its hypotheses agrees with the submaps"))
             else:
