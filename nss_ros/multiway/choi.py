@@ -79,7 +79,7 @@ class Choi:
             rejected: measurements that only become rejected edges, and why.
         """
         ids = sorted(set(fragments))
-        edges = [_Judged(m) for m in sorted(measurements, key=_canonical)]
+        edges = [_Judged(m) for m in sorted(measurements, key=canonical)]
         self._reject_at_once(edges, set(ids))
         known = start or {}
         if start is None and self._config.start == "evidence":
@@ -275,7 +275,8 @@ class _Judged:
         self.accepted, self.reason, self.weight = False, reason, 0.0
 
 
-def _canonical(m: Measurement) -> tuple[object, ...]:
+def canonical(m: Measurement) -> tuple[object, ...]:
+    """By which measurements are sorted, so that their order on arrival does not matter."""
     return (m.pair, m.manual, m.T_target_source.tobytes())
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from nss_ros.config import GravityConfig, MultiwayConfig, RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId
 from nss_ros.geometry import relative
-from nss_ros.multiway.choi import Choi
+from nss_ros.multiway.choi import Choi, canonical
 from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures
 from nss_ros.multiway.hypotheses import fitting_hypothesis
 from nss_ros.multiway.pose_graph import Measurement, PoseGraph
@@ -69,6 +69,7 @@ class Submaps:
         Measurements of fragments that cannot be part of a submap are passed on to `choi` as they
         are.
         """
+        measurements = sorted(measurements, key=canonical)
         ids = [id_ for id_ in sorted(set(fragments)) if id_ in prepared]
         inside = [m for m in measurements if _both(m, prepared)]
         outside = [m for m in measurements if not _both(m, prepared)]
