@@ -296,4 +296,4 @@ def test_covariances_grow_along_a_chain():
 
 def test_choi_is_found_by_name():
     assert "choi" in synchronizer_names()
-    assert load_synchronizer(MultiwayConfig()).name == "choi"
+    assert load_synchronizer(MultiwayConfig(synchronizer="choi")).name == "choi"

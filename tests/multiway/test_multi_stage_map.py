@@ -5,8 +5,9 @@ from nss_ros.config import MultiwayConfig
 from nss_ros.errors import BagError, FormatError, InputError
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.multiway.map_file import load_map, save_map
-from nss_ros.multiway.multi_stage_map import EXCLUDED, MultiStageMap, map_points, solve
+from nss_ros.multiway.multi_stage_map import EXCLUDED, MultiStageMap, map_points
 from nss_ros.multiway.pose_graph import EdgeKind, EdgeStatus
+from nss_ros.multiway.solver import Problem, solve
 from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
 
 
@@ -28,10 +29,12 @@ def content(room) -> MultiStageMap:
 
 def solved(content: MultiStageMap):
     return solve(
-        MultiwayConfig(),
-        sorted(content.fragments),
-        content.measurements(),
-        content.unused_edges(),
+        Problem(
+            MultiwayConfig(),
+            sorted(content.fragments),
+            content.measurements(),
+            content.unused_edges(),
+        )
     )
 
 
