@@ -76,6 +76,21 @@ def test_the_training_table_puts_same_stage_training_beside_the_other(make_score
     assert "training" not in run_tables(scores[2:] * 2)
 
 
+def test_a_map_in_parts_is_told_everywhere(make_run, cut):
+    score = score_log(cut(make_run(), 4, 6), NONE)
+    (sentence,) = notes(score)
+    assert "2 components" in sentence
+    assert "main component: 4 of 6 fragments; in the others: 2; in none: 0" in sentence
+    assert "(46.7 %; in the main component alone 40.0 %)" in sentence
+    tables = log_tables(score)
+    assert column(tables["map"], "in main component") == [4]
+    assert column(tables["map"], "in others") == [2]
+    assert column(tables["multiway"], "recall 0.2 m")[0] == pytest.approx(100 * 7 / 15)
+    table = multiway_table([score])
+    assert column(table, "components") == [None, 2]
+    assert column(table, "recall, main") == [None, pytest.approx(40)]
+
+
 def test_runs_are_named_by_method_as_long_as_that_tells_them_apart(make_score):
     assert run_names([make_score("logs/a", "x"), make_score("b", "y")]) == ["test", "test"]
     assert run_names([make_score("logs/a"), make_score("b")]) == ["a", "b"]
