@@ -136,6 +136,18 @@ def bag_digest(path: Path) -> str:
     return digest.hexdigest()
 
 
+def read_metadata(path: Path) -> dict[str, str]:
+    """The values that were stored in a bag with `add_metadata`.
+
+    Raises:
+        BagError: there is no bag.
+    """
+    reader = BagReader(path)
+    for _ in reader.messages(()):
+        pass
+    return reader.metadata
+
+
 def decode(message: RawMessage) -> Any:
     """The message as an object of rosbags' classes.
 

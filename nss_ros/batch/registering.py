@@ -89,6 +89,8 @@ def register_missing(
 ) -> None:
     """Register the pairs that the journal has no answer for; answers land in it as they come.
 
+    Pairs whose worker died in an earlier session are tried again.
+
     Args:
         dataset: whose fragments are read.
         pairs: all pairs, such that neighbours share fragments.
@@ -104,8 +106,8 @@ def register_missing(
         InputError: Ray was asked for and is not there, or does not reach the folder.
     """
     load_method(config)
-    done = journal.of(config.method)
-    missing = [pair for pair in pairs if pair not in done]
+    known = journal.of(config.method)
+    missing = [pair for pair in pairs if pair not in known or not known[pair].final]
     count = len(pairs) - len(missing)
     report("pairs", count, len(pairs))
     if not missing:
@@ -117,8 +119,9 @@ def register_missing(
     job = _Job(config.model_dump_json(), str(fragments), str(features), force.memory_limit)
     _prepare(dataset, missing, config, journal, job, force, report)
     for answer in _answers([_Task(job, pair.source, pair) for pair in missing], force):
-        result = answer.result or worker_died(_pair(answer.task), config.method)
-        journal.add(config.method, result)
+        pair = _pair(answer.task)
+        if answer.result is not None or pair not in known:
+            journal.add(config.method, answer.result or worker_died(pair, config.method))
         count += 1
         report("pairs", count, len(pairs))
 

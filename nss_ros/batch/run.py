@@ -1,7 +1,8 @@
 """A benchmark: methods over the pairs and splits of a dataset, then maps, then logs.
 
 A benchmark that was killed goes on where it was: pairs that have an answer in the journal, and
-logs that are there, are not made again.
+logs that are there, are not made again. Pairs whose worker died are tried again, and the logs that
+hold such an answer are made anew when there is a better one.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from nss_ros.bag_reader import bag_digest
+from nss_ros.bag_reader import bag_digest, read_metadata
 from nss_ros.batch.folder import ResultsFolder
 from nss_ros.batch.journal import Entry, Journal
 from nss_ros.batch.mapping import AreaTask, area_map, joined_maps
@@ -35,6 +36,9 @@ from nss_ros.multiway.synchronizer import find_synchronizer
 from nss_ros.parallel import run
 from nss_ros.registration.method import find_method, load_method
 from nss_ros.versions import run_versions
+
+DIED_KEY = "benchmark.worker_died"
+"""Metadata of a log: in how many of its pairs the worker died; not there if in none."""
 
 _PAIRWISE = "pairwise"
 _INDIFFERENT = ("start_time", "platform")
@@ -161,7 +165,7 @@ class _Writer:
     def write(self, force: Workforce, report: Report) -> BatchResult:
         """Write the logs that are missing."""
         logs = self._logs()
-        missing = [log for log in logs if not log.path.exists()]
+        missing = [log for log in logs if not self._is_current(log)]
         problems = []
         if missing:
             common = self._metadata()
@@ -190,6 +194,21 @@ class _Writer:
             for method in dict.fromkeys(self.choice.methods)
             for name in dict.fromkeys(self.choice.synchronizers or ("",))
         ]
+
+    def _is_current(self, log: RunLog) -> bool:
+        """Whether the log is there, with the answers of the journal.
+
+        Only pairs whose worker died get another answer, so that as many are left tells it.
+        """
+        if not log.path.exists():
+            return False
+        return read_metadata(log.path).get(DIED_KEY, "0") == str(self._died(log))
+
+    def _died(self, log: RunLog) -> int:
+        answers = self.journal.of(log.method)
+        return sum(
+            not answers[pair].final for pair in self.plan.splits[BatchSplit(log.split)].pairs
+        )
 
     def _maps(self, logs: Sequence[RunLog], force: Workforce) -> list[PoseGraph | str | None]:
         """The map of each log; a sentence where it could not be made, None without."""
@@ -243,6 +262,7 @@ class _Writer:
             "benchmark.method": log.method,
             "benchmark.synchronizer": log.synchronizer,
             "benchmark.seed": str(self.config.registration.seed),
+            DIED_KEY: str(self._died(log) or ""),
             "config": config.model_dump_json(),
         }
         timing = timing_of(self.journal, log.method, self.plan.pairs)
