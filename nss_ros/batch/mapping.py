@@ -22,15 +22,15 @@ class AreaTask:
 
     Attributes:
         config: which synchronizer, and its settings.
-        fragments: of the area.
+        fragments: of the area, or of all that is one map.
         results: answers to its pairs, failures too.
-        gravity_aligned: the fragments are levelled.
+        levelled: those of the fragments that are gravity aligned.
     """
 
     config: MultiwayConfig
     fragments: tuple[FragmentId, ...]
     results: tuple[RelativeTransform, ...]
-    gravity_aligned: bool
+    levelled: frozenset[FragmentId]
 
 
 def area_map(task: AreaTask) -> PoseGraph | str:
@@ -38,7 +38,7 @@ def area_map(task: AreaTask) -> PoseGraph | str:
     map_ = MultiStageMap(_ANY)
     for id_ in task.fragments:
         no_points = np.zeros((0, 3), dtype=np.float32)
-        map_.add_fragment(Fragment(id_, no_points, task.gravity_aligned))
+        map_.add_fragment(Fragment(id_, no_points, id_ in task.levelled))
     for result in task.results:
         map_.add_pair(result.pair)
         map_.add_result(result)

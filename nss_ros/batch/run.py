@@ -7,7 +7,6 @@ hold such an answer are made anew when there is a better one.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,22 +14,17 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from nss_ros.bag_reader import bag_digest, read_metadata
 from nss_ros.batch.folder import ResultsFolder
 from nss_ros.batch.journal import Entry, Journal
 from nss_ros.batch.mapping import AreaTask, area_map, joined_maps
-from nss_ros.batch.plan import BatchSplit, PairChoice, Plan, fragments_of, planned
+from nss_ros.batch.plan import Plan, planned
 from nss_ros.batch.registering import Report, Workforce, register_missing
 from nss_ros.batch.run_log import write_log
+from nss_ros.batch.source import BatchSplit, PairChoice, Source
 from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
-from nss_ros.dataset.bag_export import dataset_metadata, export_fragments, ground_truth_graph
-from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME, DatasetFolder
-from nss_ros.dataset.pairs import PairTable
-from nss_ros.errors import InputError
 from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.multiway.synchronizer import find_synchronizer
 from nss_ros.parallel import run
@@ -97,7 +91,7 @@ class BatchResult:
 
 
 def run_benchmark(
-    dataset: DatasetFolder,
+    source: Source,
     output: Path,
     choice: Choice,
     config: NssConfig,
@@ -107,7 +101,7 @@ def run_benchmark(
     """Run methods over a dataset, or finish what a killed run began.
 
     Args:
-        dataset: with pairs.
+        source: a dataset with pairs, or a bag.
         output: folder of the results.
         choice: what is run.
         config: settings of registration and multi-way methods, least overlap.
@@ -126,13 +120,13 @@ def run_benchmark(
         load_method(registration)  # refuses before anything is done
     for name in choice.synchronizers:
         find_synchronizer(name).load()
-    plan = planned(dataset, choice.splits, choice.pairs, config.dataset.pairs.min_overlap)
+    plan = planned(source, choice.splits, choice.pairs, config.dataset.pairs.min_overlap)
     folder = ResultsFolder(output)
-    settings = _settings(dataset, choice, config)
+    settings = _settings(source, choice, config)
     with folder.opened(settings, run_versions()) as versions, Journal(folder.journal) as journal:
         for name, registration in registrations.items():
             register_missing(
-                dataset,
+                source,
                 plan.pairs,
                 registration,
                 journal,
@@ -140,7 +134,7 @@ def run_benchmark(
                 force,
                 _of_method(report, name),
             )
-        writer = _Writer(dataset, folder, plan, choice, config, journal, versions)
+        writer = _Writer(source, folder, plan, choice, config, journal, versions)
         result = writer.write(force, report)
         folder.finish()
     return result
@@ -154,7 +148,7 @@ def _of_method(report: Report, method: str) -> Report:
 class _Writer:
     """Makes maps and logs of what the journal holds."""
 
-    dataset: DatasetFolder
+    source: Source
     folder: ResultsFolder
     plan: Plan
     choice: Choice
@@ -227,24 +221,20 @@ class _Writer:
         table = self.plan.splits[BatchSplit(log.split)]
         answers = self.journal.of(log.method)
         config = _multiway(self.config, log.synchronizer)
-        level = self.dataset.manifest.gravity_aligned
         return [
             AreaTask(
                 config,
-                tuple(fragments_of(part)),
+                part.fragments,
                 tuple(answers[pair].result for pair in part.pairs),
-                level,
+                self.source.levelled(part.fragments),
             )
-            for part in _by_area(table).values()
+            for part in self.source.parts(table)
         ]
 
     def _write_log(self, log: RunLog, map_: PoseGraph | None, common: dict[str, str]) -> None:
         table = self.plan.splits[BatchSplit(log.split)]
         answers = self.journal.of(log.method)
-        truth = [
-            _only_of(ground_truth_graph(self.dataset, area, part), part)
-            for area, part in _by_area(table).items()
-        ]
+        truth = self.source.ground_truth(table)
         chosen = {
             "registration": {"method": log.method},
             "pose_graph": {"synchronizer": log.synchronizer or self.config.pose_graph.synchronizer},
@@ -280,10 +270,10 @@ class _Writer:
         if not bag.exists():
             begun = self.folder.begun / bag.name
             shutil.rmtree(begun, ignore_errors=True)
-            export_fragments(begun, self.dataset)
+            self.source.write_fragments(begun)
             begun.rename(bag)
         return {
-            **dataset_metadata(self.dataset),
+            **self.source.metadata(),
             **self.versions,
             "bag_0": f"../../{bag.name}",
             "bag_0_sha256": bag_digest(bag),
@@ -292,18 +282,6 @@ class _Writer:
 
 def _file_name(split: str, method: str, synchronizer: str) -> str:
     return "-".join((split, method, synchronizer or _PAIRWISE)).replace("/", "_")
-
-
-def _by_area(table: PairTable) -> dict[str, PairTable]:
-    areas = np.array([id_.area for id_ in table.source], dtype=object)
-    return {area: table.take(areas == area) for area in dict.fromkeys(areas.tolist())}
-
-
-def _only_of(graph: PoseGraph, pairs: PairTable) -> PoseGraph:
-    """A graph without the fragments that are in none of the pairs."""
-    wanted = set(fragments_of(pairs))
-    nodes = tuple(node for node in graph.nodes if node.id in wanted)
-    return PoseGraph(nodes, graph.edges, graph.name)
 
 
 def registration_config(config: NssConfig, method: str) -> RegistrationConfig:
@@ -317,7 +295,7 @@ def _multiway(config: NssConfig, synchronizer: str) -> MultiwayConfig:
     return MultiwayConfig.model_validate(values | {"synchronizer": synchronizer})
 
 
-def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict[str, Any]:
+def _settings(source: Source, choice: Choice, config: NssConfig) -> dict[str, Any]:
     """All that results depend on; which methods, splits and synchronizers may grow."""
     registration = registration_config(config, "").model_dump(mode="json")
     multiway = _multiway(config, "").model_dump(mode="json")
@@ -325,7 +303,7 @@ def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict
     plugins = [find_method(name) for name in choice.methods]
     plugins += [find_synchronizer(name) for name in choice.synchronizers]
     return {
-        "dataset": _fingerprint(dataset),
+        "dataset": source.fingerprint(),
         "pairs": choice.pairs.value,
         "min_overlap": config.dataset.pairs.min_overlap,
         "training": choice.training,
@@ -339,16 +317,3 @@ def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict
 def _origin(plugin: EntryPoint) -> str:
     package = f" of {plugin.dist.name} {plugin.dist.version}" if plugin.dist else ""
     return f"{plugin.value}{package}"
-
-
-def _fingerprint(dataset: DatasetFolder) -> dict[str, str]:
-    names = (PAIRS_NAME, POSES_NAME)
-    files = {name: _digest(dataset.path / name) for name in names}
-    return files | {"seed": str(dataset.manifest.seed)}
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    except OSError as error:
-        raise InputError(f"Cannot read {path}: {error.strerror}.") from error
