@@ -43,7 +43,7 @@ MOST_VIEWS = 12
 """Components of areas drawn of a run; each has its pictures, some hundred kilobytes."""
 
 _MOST_NAMED = 6
-_PAPER = ("pairwise", "multiway", "map", "areas", "displacement", "paper")
+_PAPER = ("pairwise", "multiway", "map", "areas", "displacement", "paper", "training")
 _BINS = ("overlap_bins", "change_bins", "overlap", "calibration", "reliability", "intervals")
 
 
