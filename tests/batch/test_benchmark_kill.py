@@ -16,7 +16,7 @@ from nss_ros.batch.journal import Journal
 from nss_ros.messages import pose_graph_message, rosbags_family
 
 _COMMAND = [sys.executable, "-c", "from nss_ros.cli import main; main()", "benchmark"]
-_PATIENCE = 60.0
+_PATIENCE = 240.0
 
 
 def start(dataset_path, output, *arguments, method="guess"):
