@@ -106,17 +106,18 @@ def measure(arguments: argparse.Namespace) -> list[VariantResult]:
 def chosen_pairs(arguments: argparse.Namespace) -> PairSample:
     """The pairs that all variants register."""
     from nss_ros.batch.pair_sample import PairSample, sample_apart, sample_overlapping
-    from nss_ros.batch.plan import BatchSplit, PairChoice, planned
+    from nss_ros.batch.plan import planned
+    from nss_ros.batch.source import BatchSplit, DatasetSource, PairChoice
     from nss_ros.benchmark.classification import MIN_OVERLAP
     from nss_ros.dataset.folder import PAIRS_NAME, DatasetFolder
     from nss_ros.dataset.pairs import read_pairs
 
     dataset = DatasetFolder(arguments.dataset)
     split = BatchSplit(arguments.split)
-    table = planned(dataset, [split], PairChoice.OVERLAPPING, MIN_OVERLAP).splits[split]
+    plan = planned(DatasetSource(dataset), [split], PairChoice.OVERLAPPING, MIN_OVERLAP)
     apart = arguments.pairs if arguments.apart is None else arguments.apart
     return PairSample(
-        sample_overlapping(table, arguments.pairs, arguments.seed),
+        sample_overlapping(plan.splits[split], arguments.pairs, arguments.seed),
         sample_apart(
             dataset.fragment_ids(), read_pairs(dataset.path / PAIRS_NAME), apart, arguments.seed
         ),

@@ -44,6 +44,23 @@ _TYPES = {
 }
 
 
+@dataclass(slots=True)
+class Arrivals:
+    """When the messages of a log came, nanoseconds by the recorder's clock.
+
+    Attributes:
+        begin: of the first message of any kind; 0 if there is none.
+        fragments: of every fragment; empty if it was read without points.
+        pairs: of the first request for each pair.
+        relative_transforms: of the first answer to each pair.
+    """
+
+    begin: int = 0
+    fragments: list[int] = field(default_factory=list)
+    pairs: dict[FragmentPair, int] = field(default_factory=dict)
+    relative_transforms: dict[FragmentPair, int] = field(default_factory=dict)
+
+
 @dataclass(frozen=True, slots=True)
 class Log:
     """A bag or a recorded log, decoded.
@@ -57,6 +74,7 @@ class Log:
         ground_truth: one pose graph per graph of the dataset.
         pose_graph: the last one published; None if none was.
         metadata: of the run and of the bags that were replayed.
+        arrivals: when what came.
     """
 
     path: Path
@@ -67,6 +85,7 @@ class Log:
     ground_truth: tuple[PoseGraph, ...] = ()
     pose_graph: PoseGraph | None = None
     metadata: dict[str, str] = field(default_factory=dict)
+    arrivals: Arrivals = field(default_factory=Arrivals)
 
 
 def write_bag(
@@ -162,6 +181,7 @@ def read_log(path: Path, points: bool = True) -> Log:
         ground_truth=tuple(content.ground_truth.values()),
         pose_graph=content.pose_graph,
         metadata=reader.metadata,
+        arrivals=replace(content.arrivals, begin=reader.begin),
     )
 
 
@@ -192,6 +212,7 @@ class _Content:
     relative_transforms: dict[FragmentPair, RelativeTransform] = field(default_factory=dict)
     ground_truth: dict[str, PoseGraph] = field(default_factory=dict)
     pose_graph: PoseGraph | None = None
+    arrivals: Arrivals = field(default_factory=Arrivals)
 
     def add(self, raw: RawMessage) -> None:
         self.any = True
@@ -199,11 +220,15 @@ class _Content:
         if raw.type == topics.FRAGMENTS.type:
             fragment = fragment_from(message)
             self.fragments.setdefault(fragment.id, fragment)
+            self.arrivals.fragments.append(raw.stamp)
         elif raw.type == topics.FRAGMENT_PAIRS.type:
-            self.pairs[pair_from(message)] = None
+            pair = pair_from(message)
+            self.pairs[pair] = None
+            self.arrivals.pairs.setdefault(pair, raw.stamp)
         elif raw.type == topics.RELATIVE_TRANSFORMS.type:
             result = relative_transform_from(message)
             self.relative_transforms.setdefault(result.pair, result)
+            self.arrivals.relative_transforms.setdefault(result.pair, raw.stamp)
         elif raw.topic.rsplit("/", 1)[-1] == topics.GROUND_TRUTH.name:
             graph = pose_graph_from(message)
             self.ground_truth[graph.name] = graph

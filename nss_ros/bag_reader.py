@@ -51,11 +51,14 @@ class BagReader:
         path: folder, or a single `.mcap` file.
         partial: after `messages` ran to its end, whether a file is truncated or damaged, or was
             never closed.
+        begin: after `messages` ran to its end, the earliest log time of any message, nanoseconds;
+            0 if there is none.
         metadata: after `messages` ran to its end, the values stored with `add_metadata`.
     """
 
     path: Path
     partial: bool = False
+    begin: int = 0
     metadata: dict[str, str] = field(default_factory=dict)
 
     def messages(self, types: Collection[str] | None = None) -> Iterator[RawMessage]:
@@ -77,6 +80,7 @@ class BagReader:
                 if channel is None:  # its announcement was lost
                     self.partial = True
                     continue
+                self.begin = min(self.begin or record.log_time, record.log_time)
                 schema = schemas.get(channel.schema_id)
                 if schema is None or channel.message_encoding != "cdr":
                     continue
@@ -130,6 +134,18 @@ def bag_digest(path: Path) -> str:
             while block := stream.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """The values that were stored in a bag with `add_metadata`.
+
+    Raises:
+        BagError: there is no bag.
+    """
+    reader = BagReader(path)
+    for _ in reader.messages(()):
+        pass
+    return reader.metadata
 
 
 def decode(message: RawMessage) -> Any:

@@ -11,8 +11,13 @@ ACCEPTED: Color = (0.2, 0.7, 0.2)
 REJECTED: Color = (0.8, 0.1, 0.1)
 
 
+def stage_hex(stage: int) -> str:
+    """The colour of a stage as `#rrggbb`, everywhere; stages that are six apart share one."""
+    return STAGE_COLORS[stage % len(STAGE_COLORS)]
+
+
 def stage_color(stage: int) -> Color:
-    """The colour of a stage in viewers; stages that are six apart share one."""
-    text = STAGE_COLORS[stage % len(STAGE_COLORS)]
+    """The colour of a stage as numbers; see `stage_hex`."""
+    text = stage_hex(stage)
     red, green, blue = (int(text[i : i + 2], 16) / 255 for i in (1, 3, 5))
     return red, green, blue

@@ -5,8 +5,10 @@
                               record at its end, which is dropped
 
 MCAP cannot be continued once it was cut, so every session of a benchmark begins a file of its own;
-each result is flushed by itself. A pair that two sessions answered keeps its first answer. The
-seconds of preparing a fragment are metadata records of the same files.
+each result is flushed by itself. A pair that two sessions answered keeps its first answer, unless
+that is only that its worker died: a killed process says as much of the machine, and of what else
+ran there, as of the pair, so a later session tries again. The seconds of preparing a fragment are
+metadata records of the same files.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from nss_ros.bag_writer import BagWriter
 from nss_ros.errors import BagError
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.messages import relative_transform_from, relative_transform_message, rosbags_family
-from nss_ros.registration.relative_transform import RelativeTransform
+from nss_ros.registration.relative_transform import Reason, RelativeTransform
 
 _PREPARE = "prepare_seconds"
 
@@ -40,6 +42,11 @@ class Entry:
     stamp: int
     data: bytes
     result: RelativeTransform
+
+    @property
+    def final(self) -> bool:
+        """Whether no later session tries again."""
+        return self.result.reason is not Reason.WORKER_DIED
 
 
 class Journal:
@@ -112,7 +119,9 @@ class Journal:
         for raw in reader.messages({topics.RELATIVE_TRANSFORMS.type}):
             method = raw.topic.removeprefix("/").removesuffix(f"/{topics.RELATIVE_TRANSFORMS.name}")
             result = relative_transform_from(decode(raw))
-            self.of(method).setdefault(result.pair, Entry(raw.stamp, raw.data, result))
+            entries = self.of(method)
+            if result.pair not in entries or not entries[result.pair].final:
+                entries[result.pair] = Entry(raw.stamp, raw.data, result)
         for name, value in reader.metadata.items():
             if not name.startswith(f"{_PREPARE}/"):
                 raise BagError(f"{file} is not a journal of 'nss benchmark': remove it.")

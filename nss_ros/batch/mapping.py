@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from nss_ros.batch.source import open_source
 from nss_ros.config import MultiwayConfig, RegistrationConfig
-from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.fragment import FragmentId
 from nss_ros.multiway.multi_stage_map import MultiStageMap
 from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
@@ -21,13 +21,13 @@ class AreaTask:
 
     Attributes:
         config: which synchronizer, and its settings.
-        dataset: folder that holds the points of the fragments.
-        fragments: of the area.
+        source: dataset or bag that holds the points of the fragments.
+        fragments: of the area, or of all that is one map.
         results: answers to its pairs, failures too.
     """
 
     config: MultiwayConfig
-    dataset: Path
+    source: Path
     fragments: tuple[FragmentId, ...]
     results: tuple[RelativeTransform, ...]
 
@@ -35,9 +35,9 @@ class AreaTask:
 def area_map(task: AreaTask) -> PoseGraph | str:
     """The map of an area, as the pose-graph node makes it; or for people, why there is none."""
     map_ = MultiStageMap(RegistrationConfig().voxel_size)
-    dataset = DatasetFolder(task.dataset)
+    source = open_source(task.source)
     for id_ in task.fragments:
-        map_.add_fragment(dataset.fragment(id_))
+        map_.add_fragment(source.fragment(id_))
     for result in task.results:
         map_.add_pair(result.pair)
         map_.add_result(result)

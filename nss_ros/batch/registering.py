@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Protocol
 
 from nss_ros.batch.journal import Journal
 from nss_ros.config import RegistrationConfig
-from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.errors import InputError, WorkerDiedError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair, clean_points
 from nss_ros.parallel import Engine, stream
@@ -30,6 +30,13 @@ from nss_ros.registration.relative_transform import RelativeTransform, worker_di
 
 Report = Callable[[str, int, int], None]
 _MOST_ATTEMPTS = 2
+
+
+class Fragments(Protocol):
+    """Where fragments are read from."""
+
+    def fragment(self, fragment: FragmentId, /) -> Fragment:
+        """A fragment's points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +86,7 @@ class _Answer:
 
 
 def register_missing(
-    dataset: DatasetFolder,
+    source: Fragments,
     pairs: Sequence[FragmentPair],
     config: RegistrationConfig,
     journal: Journal,
@@ -89,8 +96,10 @@ def register_missing(
 ) -> None:
     """Register the pairs that the journal has no answer for; answers land in it as they come.
 
+    Pairs whose worker died in an earlier session are tried again.
+
     Args:
-        dataset: whose fragments are read.
+        source: whose fragments are read.
         pairs: all pairs, such that neighbours share fragments.
         config: method and settings.
         journal: of all methods.
@@ -104,8 +113,8 @@ def register_missing(
         InputError: Ray was asked for and is not there, or does not reach the folder.
     """
     load_method(config)
-    done = journal.of(config.method)
-    missing = [pair for pair in pairs if pair not in done]
+    known = journal.of(config.method)
+    missing = [pair for pair in pairs if pair not in known or not known[pair].final]
     count = len(pairs) - len(missing)
     report("pairs", count, len(pairs))
     if not missing:
@@ -115,16 +124,17 @@ def register_missing(
     for folder in (fragments, features):
         folder.mkdir(parents=True, exist_ok=True)
     job = _Job(config.model_dump_json(), str(fragments), str(features), force.memory_limit)
-    _prepare(dataset, missing, config, journal, job, force, report)
+    _prepare(source, missing, config, journal, job, force, report)
     for answer in _answers([_Task(job, pair.source, pair) for pair in missing], force):
-        result = answer.result or worker_died(_pair(answer.task), config.method)
-        journal.add(config.method, result)
+        pair = _pair(answer.task)
+        if answer.result is not None or pair not in known:
+            journal.add(config.method, answer.result or worker_died(pair, config.method))
         count += 1
         report("pairs", count, len(pairs))
 
 
 def _prepare(
-    dataset: DatasetFolder,
+    source: Fragments,
     pairs: Iterable[FragmentPair],
     config: RegistrationConfig,
     journal: Journal,
@@ -140,7 +150,7 @@ def _prepare(
 
     def tasks() -> Iterator[_Task]:
         for id_ in lacking:
-            _store(dataset, id_, Path(job.fragments), config.voxel_size)
+            _store(source, id_, Path(job.fragments), config.voxel_size)
             yield _Task(job, id_)
 
     # What kills its process here is tried again with each of its pairs, and reported there.
@@ -151,9 +161,9 @@ def _prepare(
         report("fragments", count, len(ids))
 
 
-def _store(dataset: DatasetFolder, id_: FragmentId, folder: Path, voxel_size: float) -> None:
+def _store(source: Fragments, id_: FragmentId, folder: Path, voxel_size: float) -> None:
     if not fragment_file(folder, id_).exists():
-        fragment = dataset.fragment(id_)
+        fragment = source.fragment(id_)
         # As it would come out of a message.
         points = clean_points(fragment.points)
         store_fragment(folder, Fragment(id_, points, fragment.gravity_aligned), voxel_size)

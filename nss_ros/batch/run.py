@@ -1,12 +1,12 @@
 """A benchmark: methods over the pairs and splits of a dataset, then maps, then logs.
 
 A benchmark that was killed goes on where it was: pairs that have an answer in the journal, and
-logs that are there, are not made again.
+logs that are there, are not made again. Pairs whose worker died are tried again, and the logs that
+hold such an answer are made anew when there is a better one.
 """
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,27 +14,25 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from nss_ros.bag_reader import bag_digest
+from nss_ros.bag_reader import bag_digest, read_metadata
 from nss_ros.batch.folder import ResultsFolder
 from nss_ros.batch.journal import Entry, Journal
 from nss_ros.batch.mapping import AreaTask, area_map, joined_maps
-from nss_ros.batch.plan import BatchSplit, PairChoice, Plan, fragments_of, planned
+from nss_ros.batch.plan import Plan, planned
 from nss_ros.batch.registering import Report, Workforce, register_missing
 from nss_ros.batch.run_log import write_log
+from nss_ros.batch.source import BatchSplit, PairChoice, Source
 from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
-from nss_ros.dataset.bag_export import dataset_metadata, export_fragments, ground_truth_graph
-from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME, DatasetFolder
-from nss_ros.dataset.pairs import PairTable
-from nss_ros.errors import InputError
 from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.multiway.synchronizer import find_synchronizer
 from nss_ros.parallel import run
 from nss_ros.registration.method import find_method, load_method
 from nss_ros.versions import run_versions
+
+DIED_KEY = "benchmark.worker_died"
+"""Metadata of a log: in how many of its pairs the worker died; not there if in none."""
 
 _PAIRWISE = "pairwise"
 _INDIFFERENT = ("start_time", "platform")
@@ -93,7 +91,7 @@ class BatchResult:
 
 
 def run_benchmark(
-    dataset: DatasetFolder,
+    source: Source,
     output: Path,
     choice: Choice,
     config: NssConfig,
@@ -103,7 +101,7 @@ def run_benchmark(
     """Run methods over a dataset, or finish what a killed run began.
 
     Args:
-        dataset: with pairs.
+        source: a dataset with pairs, or a bag.
         output: folder of the results.
         choice: what is run.
         config: settings of registration and multi-way methods, least overlap.
@@ -122,13 +120,13 @@ def run_benchmark(
         load_method(registration)  # refuses before anything is done
     for name in choice.synchronizers:
         find_synchronizer(name).load()
-    plan = planned(dataset, choice.splits, choice.pairs, config.dataset.pairs.min_overlap)
+    plan = planned(source, choice.splits, choice.pairs, config.dataset.pairs.min_overlap)
     folder = ResultsFolder(output)
-    settings = _settings(dataset, choice, config)
+    settings = _settings(source, choice, config)
     with folder.opened(settings, run_versions()) as versions, Journal(folder.journal) as journal:
         for name, registration in registrations.items():
             register_missing(
-                dataset,
+                source,
                 plan.pairs,
                 registration,
                 journal,
@@ -136,7 +134,7 @@ def run_benchmark(
                 force,
                 _of_method(report, name),
             )
-        writer = _Writer(dataset, folder, plan, choice, config, journal, versions)
+        writer = _Writer(source, folder, plan, choice, config, journal, versions)
         result = writer.write(force, report)
         folder.finish()
     return result
@@ -150,7 +148,7 @@ def _of_method(report: Report, method: str) -> Report:
 class _Writer:
     """Makes maps and logs of what the journal holds."""
 
-    dataset: DatasetFolder
+    source: Source
     folder: ResultsFolder
     plan: Plan
     choice: Choice
@@ -161,7 +159,7 @@ class _Writer:
     def write(self, force: Workforce, report: Report) -> BatchResult:
         """Write the logs that are missing."""
         logs = self._logs()
-        missing = [log for log in logs if not log.path.exists()]
+        missing = [log for log in logs if not self._is_current(log)]
         problems = []
         if missing:
             common = self._metadata()
@@ -191,6 +189,21 @@ class _Writer:
             for name in dict.fromkeys(self.choice.synchronizers or ("",))
         ]
 
+    def _is_current(self, log: RunLog) -> bool:
+        """Whether the log is there, with the answers of the journal.
+
+        Only pairs whose worker died get another answer, so that as many are left tells it.
+        """
+        if not log.path.exists():
+            return False
+        return read_metadata(log.path).get(DIED_KEY, "0") == str(self._died(log))
+
+    def _died(self, log: RunLog) -> int:
+        answers = self.journal.of(log.method)
+        return sum(
+            not answers[pair].final for pair in self.plan.splits[BatchSplit(log.split)].pairs
+        )
+
     def _maps(self, logs: Sequence[RunLog], force: Workforce) -> list[PoseGraph | str | None]:
         """The map of each log; a sentence where it could not be made, None without."""
         tasks = {log: self._tasks(log) for log in logs if log.synchronizer}
@@ -211,20 +224,17 @@ class _Writer:
         return [
             AreaTask(
                 config,
-                self.dataset.path,
-                tuple(fragments_of(part)),
+                self.source.path,
+                part.fragments,
                 tuple(answers[pair].result for pair in part.pairs),
             )
-            for part in _by_area(table).values()
+            for part in self.source.parts(table)
         ]
 
     def _write_log(self, log: RunLog, map_: PoseGraph | None, common: dict[str, str]) -> None:
         table = self.plan.splits[BatchSplit(log.split)]
         answers = self.journal.of(log.method)
-        truth = [
-            _only_of(ground_truth_graph(self.dataset, area, part), part)
-            for area, part in _by_area(table).items()
-        ]
+        truth = self.source.ground_truth(table)
         chosen = {
             "registration": {"method": log.method},
             "pose_graph": {"synchronizer": log.synchronizer or self.config.pose_graph.synchronizer},
@@ -242,6 +252,7 @@ class _Writer:
             "benchmark.method": log.method,
             "benchmark.synchronizer": log.synchronizer,
             "benchmark.seed": str(self.config.registration.seed),
+            DIED_KEY: str(self._died(log) or ""),
             "config": config.model_dump_json(),
         }
         timing = timing_of(self.journal, log.method, self.plan.pairs)
@@ -259,10 +270,10 @@ class _Writer:
         if not bag.exists():
             begun = self.folder.begun / bag.name
             shutil.rmtree(begun, ignore_errors=True)
-            export_fragments(begun, self.dataset)
+            self.source.write_fragments(begun)
             begun.rename(bag)
         return {
-            **dataset_metadata(self.dataset),
+            **self.source.metadata(),
             **self.versions,
             "bag_0": f"../../{bag.name}",
             "bag_0_sha256": bag_digest(bag),
@@ -271,18 +282,6 @@ class _Writer:
 
 def _file_name(split: str, method: str, synchronizer: str) -> str:
     return "-".join((split, method, synchronizer or _PAIRWISE)).replace("/", "_")
-
-
-def _by_area(table: PairTable) -> dict[str, PairTable]:
-    areas = np.array([id_.area for id_ in table.source], dtype=object)
-    return {area: table.take(areas == area) for area in dict.fromkeys(areas.tolist())}
-
-
-def _only_of(graph: PoseGraph, pairs: PairTable) -> PoseGraph:
-    """A graph without the fragments that are in none of the pairs."""
-    wanted = set(fragments_of(pairs))
-    nodes = tuple(node for node in graph.nodes if node.id in wanted)
-    return PoseGraph(nodes, graph.edges, graph.name)
 
 
 def registration_config(config: NssConfig, method: str) -> RegistrationConfig:
@@ -296,7 +295,7 @@ def _multiway(config: NssConfig, synchronizer: str) -> MultiwayConfig:
     return MultiwayConfig.model_validate(values | {"synchronizer": synchronizer})
 
 
-def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict[str, Any]:
+def _settings(source: Source, choice: Choice, config: NssConfig) -> dict[str, Any]:
     """All that results depend on; which methods, splits and synchronizers may grow."""
     registration = registration_config(config, "").model_dump(mode="json")
     multiway = _multiway(config, "").model_dump(mode="json")
@@ -304,7 +303,7 @@ def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict
     plugins = [find_method(name) for name in choice.methods]
     plugins += [find_synchronizer(name) for name in choice.synchronizers]
     return {
-        "dataset": _fingerprint(dataset),
+        "dataset": source.fingerprint(),
         "pairs": choice.pairs.value,
         "min_overlap": config.dataset.pairs.min_overlap,
         "training": choice.training,
@@ -318,16 +317,3 @@ def _settings(dataset: DatasetFolder, choice: Choice, config: NssConfig) -> dict
 def _origin(plugin: EntryPoint) -> str:
     package = f" of {plugin.dist.name} {plugin.dist.version}" if plugin.dist else ""
     return f"{plugin.value}{package}"
-
-
-def _fingerprint(dataset: DatasetFolder) -> dict[str, str]:
-    names = (PAIRS_NAME, POSES_NAME)
-    files = {name: _digest(dataset.path / name) for name in names}
-    return files | {"seed": str(dataset.manifest.seed)}
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    except OSError as error:
-        raise InputError(f"Cannot read {path}: {error.strerror}.") from error

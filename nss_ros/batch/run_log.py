@@ -33,7 +33,7 @@ def write_log(
     map_: PoseGraph | None,
     metadata: Mapping[str, str],
 ) -> None:
-    """Write a log; it appears whole or not at all.
+    """Write a log; it appears whole or not at all, in place of what was there.
 
     Args:
         path: folder to create.
@@ -52,6 +52,10 @@ def write_log(
         writer.add_metadata(metadata)
         _write(writer, ground_truth, entries, map_)
     path.parent.mkdir(parents=True, exist_ok=True)
+    if path.exists():
+        old = begun / f"{path.name}.old"
+        shutil.rmtree(old, ignore_errors=True)
+        path.rename(old)
     made.rename(path)
 
 

@@ -27,8 +27,8 @@ class StageDisplacement:
         area: of both stages.
         stage: the earlier one, which is held.
         other: the later one, whose fragments are displaced.
-        fragments: of the later stage that are placed together with some of the earlier one; a
-            fragment counts once for each graph.
+        fragments: of the later stage that are in their graph's main component with some of the
+            earlier one; a fragment counts once for each graph.
         median: of their displacements, metres.
         largest: of their displacements, metres.
     """
@@ -42,7 +42,7 @@ class StageDisplacement:
 
 
 def stage_displacements(placements: Placements) -> tuple[StageDisplacement, ...]:
-    """Displacements of all pairs of stages that are placed together, by area and stages."""
+    """Displacements of all pairs of stages in the main components, by area and stages."""
     found: dict[tuple[str, int, int], list[float]] = {}
     known = placements.placed & ~np.isnan(placements.T_true[:, 0, 0])
     members: dict[tuple[int, str], dict[int, list[int]]] = {}

@@ -3,9 +3,14 @@
 Scores, tables, comparisons and figures are all computed from this, so that each error is
 measured once. Rows of several logs can be joined into one result set.
 
-- Edges are those of the ground-truth graphs. An edge without an answer, or whose fragments are
-  not both in its graph's main component, has no estimate.
-- A graph's main component is the largest that accepted edges form among its own fragments.
+- Edges are those of the ground-truth graphs. An edge without an answer has no pairwise estimate;
+  one whose fragments are not in one component of the map has none of the map, because poses mean
+  something only relative to others of their component.
+- A graph's components are those that accepted edges form among its own fragments, as in the
+  challenge, to which each graph is submitted by itself; the largest is its main component. What
+  takes one frame for the whole graph (placements, global RMSE, outliers) is of that.
+- The components of the map are those of all fragments, so fragments of a graph may hang together
+  by some that are not in it.
 - Answers are relative transforms, also of pairs that are no edge of the ground truth.
 """
 
@@ -27,6 +32,7 @@ from nss_ros.benchmark.metrics import (
     pairwise_rmse,
     rotation_error,
     squared_displacement,
+    successes,
     translation_error,
 )
 from nss_ros.benchmark.overlap_truth import OverlapTruth
@@ -85,6 +91,7 @@ class Edges:
         temporal_change: (n,) 0..1; NaN where the ground truth does not say.
         T_target_source: (n, 4, 4) ground truth.
         pairwise: the relative transforms that were measured.
+        in_main: (n,) both fragments are in the graph's main component; without a map, none.
         multiway: the relative transforms of the map's poses; None if the log holds no map.
     """
 
@@ -96,6 +103,7 @@ class Edges:
     overlap_ratio: Floats
     temporal_change: Floats
     T_target_source: Floats
+    in_main: Booleans
     pairwise: Estimates
     multiway: Estimates | None
 
@@ -172,7 +180,8 @@ class Evaluation:
         failed: of these, answers without a transform.
         has_points: point clouds were there.
         graphs: names of the ground-truth graphs.
-        components: of each graph, those of two or more fragments in the map.
+        components: of each graph, the fragments in each of its components of two or more, the
+            main one first.
         edges: ground-truth edges.
         placements: fragments in the map; None if a log holds no map.
         answers: what was reported.
@@ -189,7 +198,7 @@ class Evaluation:
     failed: int
     has_points: bool
     graphs: tuple[str, ...]
-    components: tuple[int, ...]
+    components: tuple[tuple[int, ...], ...]
     edges: Edges
     placements: Placements | None
     answers: Answers
@@ -229,7 +238,7 @@ def evaluate(log: Log) -> Evaluation:
         failed=sum(answer is not None and not answer.ok for answer in answers),
         has_points=clouds is not None,
         graphs=tuple(graph.name for graph in graphs),
-        components=tuple(len(each) for each in components),
+        components=tuple(tuple(map(len, each)) for each in components),
         edges=_edges(log, graphs, mains, clouds),
         placements=_placements(log.pose_graph, graphs, mains, clouds) if log.pose_graph else None,
         answers=_answers(log, graphs),
@@ -258,11 +267,18 @@ def joined(evaluations: Sequence[Evaluation]) -> Evaluation:
         failed=sum(each.failed for each in evaluations),
         has_points=all(each.has_points for each in evaluations),
         graphs=tuple(name for each in evaluations for name in each.graphs),
-        components=tuple(count for each in evaluations for count in each.components),
+        components=tuple(sizes for each in evaluations for sizes in each.components),
         edges=_stacked([each.edges for each in evaluations], offsets),
         placements=_stacked(placements, offsets) if len(placements) == len(evaluations) else None,
         answers=_stacked([each.answers for each in evaluations], offsets),
     )
+
+
+def in_main_successes(edges: Edges) -> Booleans:
+    """Which edges the map has right (10 deg, 0.2 m) within its graph's main component, (n,)."""
+    if edges.multiway is None:
+        return np.zeros(len(edges.pairs), dtype=bool)
+    return edges.in_main & successes(edges.multiway.rre, edges.multiway.rte)
 
 
 def rows(columns: Columns, chosen: Numbers | Booleans) -> Columns:
@@ -333,7 +349,7 @@ def _edges(
     asked = {*log.pairs, *log.relative_transforms}
     transforms = [_transforms([_measured(pair, log) for pair in pairs])]
     if log.pose_graph is not None:
-        transforms.append(_map_transforms(pairs, graph, mains))
+        transforms.append(_map_transforms(pairs, log.pose_graph))
     rmse = _rmse(pairs, truth, transforms, clouds)
     estimates = [
         Estimates(each, rotation_error(truth, each), translation_error(truth, each), column)
@@ -348,6 +364,13 @@ def _edges(
         overlap_ratio=np.array([edge.overlap_ratio for edge in edges], dtype=np.float64),
         temporal_change=np.array([edge.temporal_change for edge in edges], dtype=np.float64),
         T_target_source=truth,
+        in_main=np.array(
+            [
+                pair.source in mains[g] and pair.target in mains[g]
+                for g, pair in zip(graph.tolist(), pairs, strict=True)
+            ],
+            dtype=bool,
+        ),
         pairwise=estimates[0],
         multiway=estimates[1] if len(estimates) > 1 else None,
     )
@@ -375,13 +398,17 @@ def _measured(pair: FragmentPair, log: Log) -> Transform | None:
     return inverse(reverse.T_target_source) if reverse is not None and reverse.ok else None
 
 
-def _map_transforms(
-    pairs: Sequence[FragmentPair], graph: Numbers, mains: Sequence[Poses]
-) -> Floats:
-    sources, targets = (
-        _transforms([mains[g].get(id_) for g, id_ in zip(graph, ids, strict=True)])
-        for ids in ([pair.source for pair in pairs], [pair.target for pair in pairs])
-    )
+def _map_transforms(pairs: Sequence[FragmentPair], pose_graph: PoseGraph) -> Floats:
+    """Of the poses, (n, 4, 4); NaN for a pair whose fragments are not in one component."""
+    components = accepted_components(pose_graph, [node.id for node in pose_graph.nodes])
+    number = {id_: i for i, members in enumerate(components) for id_ in members}
+    poses = {id_: node.T_map_fragment for id_, node in pose_graph.poses().items()}
+    together = [
+        pair if pair.source in number and number[pair.source] == number.get(pair.target) else None
+        for pair in pairs
+    ]
+    sources = _transforms([None if pair is None else poses[pair.source] for pair in together])
+    targets = _transforms([None if pair is None else poses[pair.target] for pair in together])
     return relatives(sources, targets)
 
 

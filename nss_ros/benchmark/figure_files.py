@@ -46,14 +46,14 @@ def _run_figures(run: Run, worst: int) -> Iterator[tuple[str, Figure]]:
         yield name, draw(chart)
     for view in map_views(run.log):
         if run.log.pose_graph is not None:
-            yield f"graph_{view.area}", draw(graph_chart(run.log.pose_graph, view, {}))
+            yield f"graph_{view.key}", draw(graph_chart(run.log.pose_graph, view, {}))
         if not view.points:
             continue
-        yield f"map_{view.area}", map_figure(view)
-        yield f"stages_{view.area}", stage_figure(view)
+        yield f"map_{view.key}", map_figure(view)
+        yield f"stages_{view.key}", stage_figure(view)
         before = chained_view(run.log, view)
         if before is not None:
-            yield f"before_after_{view.area}", before_after_figure(before, view)
+            yield f"before_after_{view.key}", before_after_figure(before, view)
     records = pair_records(run.log, run.evaluation)
     spots = pair_chart(records, {})
     if spots is not None:

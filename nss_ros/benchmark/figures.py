@@ -330,7 +330,7 @@ def rmse_by_graph_size(scores: Sequence[LogScore]) -> Chart | None:
     return Chart(
         "Global RMSE against the size of the graph",
         (panel,),
-        "One point per graph; over the points of placed fragments.",
+        "One point per graph; over the points of its main component.",
     )
 
 

@@ -1,8 +1,9 @@
 """The figures that a run is judged by, flat and by name, each with a bootstrap interval.
 
 `FIGURES` lists them all: pairwise figures of all, same-stage and different-stage edges (for
-example `recall_different_stage`), the same of the map's poses (`multiway_recall_all`), and those
-of the map, of overlap classification and of confidence.
+example `recall_different_stage`), the same of the map's poses (`multiway_recall_all`: edges within
+any component of the map; `multiway_recall_main`: within the main one), and those of the map, of
+overlap classification and of confidence.
 
 Figures of edges are resampled by edge, of the map by fragment, of probabilities by answered pair;
 see `bootstrap`.
@@ -31,6 +32,7 @@ from nss_ros.benchmark.evaluation import (
     Evaluation,
     Numbers,
     Placements,
+    in_main_successes,
 )
 from nss_ros.benchmark.metrics import MAX_RTE_CHALLENGE, Floats, successes
 from nss_ros.fragment import FragmentId
@@ -85,7 +87,9 @@ _EDGE_FIGURES = {
     "rmse": Figure("RMSE", "m", False),
 }
 _KIND_TITLES = {"all": "all", "same_stage": "same", "different_stage": "different"}
+_MAIN_RECALL = "multiway_recall_main"
 _MAP_FIGURES = {
+    _MAIN_RECALL: Figure("map recall in the main component", "%", True),
     "global_rmse": Figure("global RMSE", "m", False),
     "official_global_rmse": Figure("official global RMSE", "m", False),
     "coverage": Figure("coverage of points", "%", True),
@@ -208,6 +212,7 @@ def _edge_figures(edges: Edges) -> Callable[[Floats], Values]:
     if edges.multiway is not None:
         estimates["multiway_"] = edges.multiway
     table = np.column_stack([_edge_columns(each) for each in estimates.values()])
+    main = in_main_successes(edges)
     kinds = (np.flatnonzero(edges.same_stage), np.flatnonzero(~edges.same_stage))
 
     def figures(weights: Floats) -> Values:
@@ -217,6 +222,8 @@ def _edge_figures(edges: Edges) -> Callable[[Floats], Values]:
             for prefix, part in zip(estimates, np.split(sums, len(estimates), axis=1), strict=True):
                 for name, value in _edge_values(part).items():
                     values[f"{prefix}{name}_{kind}"] = value
+        if edges.multiway is not None:
+            values[_MAIN_RECALL] = _ratio(100 * (weights @ main), weights.sum(axis=1))
         return values
 
     return figures

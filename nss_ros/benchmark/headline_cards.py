@@ -22,17 +22,18 @@ _CARDS: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
     ),
     (
         "Recall of the map",
-        "The same edges, from the poses of the map",
+        "The same edges, from the poses of the map; between components they are missed",
         (
             ("multiway_recall_all", "all"),
             ("multiway_recall_same_stage", "same stage"),
             ("multiway_recall_different_stage", "different stages"),
             ("multiway_recall_challenge_all", "all, at 0.1 m"),
+            ("multiway_recall_main", "main component alone"),
         ),
     ),
     (
         "The map",
-        "Over all points of placed fragments",
+        "Over all points of fragments in the main component",
         (
             ("global_rmse", "global RMSE"),
             ("official_global_rmse", "official RMSE"),

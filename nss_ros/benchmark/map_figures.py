@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from nss_ros.benchmark.chart import MAX_POINTS, Axis, Chart, Mark, Panel, Series, spread
 from nss_ros.benchmark.map_view import MapView
 from nss_ros.benchmark.metrics import MAX_RTE, Floats
-from nss_ros.colors import STAGE_COLORS
+from nss_ros.colors import stage_hex
 from nss_ros.dataset.figures import STYLE
 from nss_ros.fragment import FragmentPair, Points
 from nss_ros.multiway.pose_graph import EdgeStatus, PoseGraph
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-ACCEPTED, REJECTED = "#4d4d4d", "#C44E9B"
+ACCEPTED, REJECTED = "#4d4d4d", "#B2182B"
 """Colours of edges."""
 
 _DPI = 120  # of pictures
@@ -41,11 +41,6 @@ Inks = Mapping[str, Points]
 """Points by colour."""
 
 
-def stage_colour(stages: Sequence[int], stage: int) -> str:
-    """The colour of a stage, the same in all figures of a run."""
-    return STAGE_COLORS[sorted(stages).index(stage) % len(STAGE_COLORS)]
-
-
 def map_figure(view: MapView) -> Figure:
     """All stages over each other, in plan and below it in section.
 
@@ -55,7 +50,7 @@ def map_figure(view: MapView) -> Figure:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    inks = {stage_colour(view.stages, stage): points for stage, points in view.points.items()}
+    inks = {stage_hex(stage): points for stage, points in view.points.items()}
     low, high = limits(view.points.values())
     with mpl.rc_context(STYLE):
         size = (_WIDTH, _WIDTH * 0.9 * _ratio(low, high) + 1.0)
@@ -99,7 +94,7 @@ def stage_figure(view: MapView) -> Figure:
                 section.remove()
                 continue
             stage = stages[number]
-            inks = {stage_colour(view.stages, stage): view.points[stage]}
+            inks = {stage_hex(stage): view.points[stage]}
             _draw_view(plan, section, view, inks, low, high)
             plan.set_title(f"Stage {stage}")
             if number % columns == 0:
@@ -129,7 +124,7 @@ def before_after_figure(before: MapView, after: MapView) -> Figure:
         figure = Figure(figsize=size, layout="compressed")
         grid = figure.subplots(2, 2, sharex=True, height_ratios=_heights(low, high))
         for column, (view, name) in enumerate(((before, "Before"), (after, "After"))):
-            inks = {stage_colour(view.stages, s): points for s, points in view.points.items()}
+            inks = {stage_hex(s): points for s, points in view.points.items()}
             plan, section = grid[:, column]
             _draw_view(plan, section, view, inks, low, high)
             plan.set_title(f"{name}{_off(view)}")
@@ -202,7 +197,7 @@ def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, st
     series += [_spots(view, stage) for stage in view.stages]
     panel = Panel(Axis("x (m)"), Axis("y (m)"), tuple(series), equal=True)
     return Chart(
-        f"Spatiotemporal graph of area {view.area}, in plan",
+        f"Spatiotemporal graph of {view.name}, in plan",
         (panel,),
         "Where each fragment was taken from, and which relative transforms the map kept. Failed "
         "registrations are not drawn.",
@@ -216,7 +211,7 @@ def _spots(view: MapView, stage: int) -> Series:
         f"stage {stage} ({len(spots):,})",
         places[:, 0],
         places[:, 1],
-        stage_colour(view.stages, stage),
+        stage_hex(stage),
         Mark.POINTS,
         tuple(map(str, spots)),
         size=8,
@@ -232,7 +227,7 @@ def stage_handles(stages: Sequence[int]) -> list[Any]:
     """Entries of a legend."""
     from matplotlib.patches import Patch
 
-    return [Patch(color=stage_colour(stages, s), label=f"stage {s}") for s in stages]
+    return [Patch(color=stage_hex(s), label=f"stage {s}") for s in stages]
 
 
 def limits(clouds: Iterable[Points]) -> tuple[Floats, Floats]:

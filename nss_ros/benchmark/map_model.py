@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nss_ros.benchmark.map_figures import limits, stage_colour
+from nss_ros.benchmark.map_figures import limits
 from nss_ros.benchmark.map_view import MapView, thinned
+from nss_ros.colors import stage_hex
 
 _STEPS = 2**16 - 1
 
@@ -40,14 +41,14 @@ def map_model(view: MapView, most: int) -> dict[str, Any]:
         stages.append(
             {
                 "stage": stage,
-                "colour": stage_colour(view.stages, stage),
+                "colour": stage_hex(stage),
                 "below": _packed(numbers[~above]),
                 "above": _packed(numbers[above]),
                 "spots": [[str(id_), *(round(float(v), 3) for v in s)] for id_, s in spots.items()],
             }
         )
     return {
-        "area": view.area,
+        "name": view.title,
         "origin": [float(value) for value in low],
         "step": step,
         "extent": [float(value) for value in high - low],

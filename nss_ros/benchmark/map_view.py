@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,10 +33,12 @@ Poses = Mapping[FragmentId, Transform]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapView:
-    """The fragments of one area in a common frame.
+    """The fragments of one area that are in one component of the map, in a common frame.
 
     Attributes:
         area: of the fragments.
+        part: number of the component among those of the area, from 1, the largest first.
+        parts: components of the area.
         points: (n, 3) by stage, ascending, metres; empty without point clouds.
         spots: where each fragment was taken from, (3,).
         gaps: how far the spots are from their true places after `consensus`, metres; empty
@@ -49,6 +51,26 @@ class MapView:
     spots: dict[FragmentId, NDArray[np.float64]]
     gaps: NDArray[np.float64]
     level: bool
+    part: int = 1
+    parts: int = 1
+
+    @property
+    def name(self) -> str:
+        """For people, within a sentence."""
+        whole = f"area {self.area}"
+        return whole if self.parts == 1 else f"{whole}, component {self.part} of {self.parts}"
+
+    @property
+    def title(self) -> str:
+        """The name with its number of fragments if there are several components."""
+        text = self.name[0].upper() + self.name[1:]
+        count = len(self.spots)
+        return text if self.parts == 1 else f"{text} ({count:,} fragment{'s' * (count != 1)})"
+
+    @property
+    def key(self) -> str:
+        """For names of files."""
+        return self.area if self.parts == 1 else f"{self.area}_component{self.part}"
 
     @property
     def stages(self) -> list[int]:
@@ -81,16 +103,26 @@ class MapView:
 
 
 def map_views(log: Log) -> list[MapView]:
-    """The largest component of each area of the map, in the order of areas."""
+    """Every component of each area of the map, in the order of areas and then of size."""
     if log.pose_graph is None:
         return []
-    groups: dict[tuple[str, int], dict[FragmentId, Transform]] = {}
+    areas: dict[str, dict[int, dict[FragmentId, Transform]]] = {}
     for id_, node in log.pose_graph.poses().items():
-        groups.setdefault((id_.area, node.component), {})[id_] = node.T_map_fragment
-    largest: dict[str, dict[FragmentId, Transform]] = {}
-    for (area, _), poses in sorted(groups.items(), key=lambda item: -len(item[1])):
-        largest.setdefault(area, poses)
-    return [map_view(log, poses) for _, poses in sorted(largest.items())]
+        components = areas.setdefault(id_.area, {})
+        components.setdefault(node.component, {})[id_] = node.T_map_fragment
+    return [
+        replace(map_view(log, poses), part=number, parts=len(components))
+        for _, components in sorted(areas.items())
+        for number, (_, poses) in enumerate(
+            sorted(components.items(), key=lambda item: (-len(item[1]), item[0])), start=1
+        )
+    ]
+
+
+def most_important(views: Sequence[MapView], most: int) -> list[MapView]:
+    """So many views, in their order: each area's largest component first, then the largest."""
+    ranked = sorted(views, key=lambda view: (view.part > 1, -len(view.spots)))[:most]
+    return [view for view in views if any(view is each for each in ranked)]
 
 
 def chained_view(log: Log, view: MapView) -> MapView | None:
@@ -108,7 +140,8 @@ def chained_view(log: Log, view: MapView) -> MapView | None:
     if len(members) < 2 or len(components(members, usable)) != 1:
         return None
     ranks = np.array([(each.confidence, each.inliers) for each in usable], dtype=np.float64)
-    return map_view(log, spanning_tree_poses(members, usable, ranks), view)
+    before = map_view(log, spanning_tree_poses(members, usable, ranks), view)
+    return replace(before, part=view.part, parts=view.parts)
 
 
 def map_view(log: Log, poses: Poses, like: MapView | None = None) -> MapView:

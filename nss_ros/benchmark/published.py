@@ -20,13 +20,26 @@ class PublishedRecall(BaseModel):
     different_stage: float
 
 
+class PublishedTraining(PublishedRecall):
+    """The same of a method that was trained on some pairs only, for example `same_stage`."""
+
+    training: str
+
+
 class Published(BaseModel):
-    """Published figures with their source."""
+    """Published figures with their source.
+
+    Attributes:
+        source: the publication.
+        pairwise: of methods trained on all pairs.
+        training: of the table of methods trained on same-stage pairs only.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     source: str
     pairwise: tuple[PublishedRecall, ...]
+    training: tuple[PublishedTraining, ...]
 
 
 @cache

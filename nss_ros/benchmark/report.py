@@ -22,7 +22,7 @@ from nss_ros.benchmark.map_figures import (
     stage_figure,
 )
 from nss_ros.benchmark.map_model import map_model
-from nss_ros.benchmark.map_view import chained_view, map_views
+from nss_ros.benchmark.map_view import MapView, chained_view, map_views, most_important
 from nss_ros.benchmark.pair_list import pair_chart, pair_table
 from nss_ros.benchmark.pair_records import Outcome, PairRecord, pair_records
 from nss_ros.benchmark.report_images import Image, drawing, photograph
@@ -31,6 +31,7 @@ from nss_ros.benchmark.run_facts import facts
 from nss_ros.benchmark.table import log_tables, run_tables
 from nss_ros.benchmark.worst_pairs import pair_figure, worst_pairs
 from nss_ros.fragment import FragmentPair
+from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.table import Table
 
 MOST_ROWS = 2000
@@ -38,8 +39,11 @@ MOST_ROWS = 2000
 MOST_POINTS = 160_000
 """Points of the 3-D views of all runs together."""
 
-_MOST_AREAS = 6
-_PAPER = ("pairwise", "multiway", "map", "areas", "displacement", "paper")
+MOST_VIEWS = 12
+"""Components of areas drawn of a run; each has its pictures, some hundred kilobytes."""
+
+_MOST_NAMED = 6
+_PAPER = ("pairwise", "multiway", "map", "areas", "displacement", "paper", "training")
 _BINS = ("overlap_bins", "change_bins", "overlap", "calibration", "reliability", "intervals")
 
 
@@ -215,9 +219,8 @@ def _add_maps(
     views = map_views(log)
     if log.pose_graph is None or not views:
         return
-    shown = views[:_MOST_AREAS]
-    if len(views) > len(shown):
-        page.notes = (*page.notes, f"Of {len(views)} areas the first {len(shown)} are drawn.")
+    shown = most_important(views, MOST_VIEWS)
+    page.notes = (*page.notes, *_not_drawn(log.pose_graph, views, shown))
     for number, view in enumerate(shown):
         chart = graph_chart(log.pose_graph, view, rows)
         page.graphs.append(_plot(f"{page.key}-graph{number}", chart, data))
@@ -233,7 +236,7 @@ def _add_maps(
             how += " The fragments are not levelled: up is taken to be where the map is thinnest."
         page.map_pictures.append(
             Picture(
-                f"Area {view.area}: all stages" if len(view.points) > 1 else f"Area {view.area}",
+                f"{view.title}: all stages" if len(view.points) > 1 else view.title,
                 photograph(map_figure(view)),
                 "Plan: what stands 0.25 to 2.1 m above the floor. Section: what lies within "
                 f"{SECTION_DEPTH:g} m of the dotted line.{how}",
@@ -241,13 +244,13 @@ def _add_maps(
         )
         if len(view.points) > 1:
             page.map_pictures.append(
-                Picture(f"Area {view.area}: stage by stage", photograph(stage_figure(view)))
+                Picture(f"{view.title}: stage by stage", photograph(stage_figure(view)))
             )
         before = chained_view(log, view)
         if before is not None:
             page.map_pictures.append(
                 Picture(
-                    f"Area {view.area}: before and after the multi-way step",
+                    f"{view.title}: before and after the multi-way step",
                     photograph(before_after_figure(before, view)),
                     "Before: the same fragments, chained by the most confident relative transforms."
                     + (
@@ -257,6 +260,35 @@ def _add_maps(
                     ),
                 )
             )
+
+
+def _not_drawn(graph: PoseGraph, views: Sequence[MapView], shown: Sequence[MapView]) -> list[str]:
+    """One sentence for each thing of the map that no picture shows."""
+    result = []
+    torn = {view.area: view.parts for view in views if view.parts > 1}
+    if torn:
+        parts = ", ".join(f"area {area} in {count}" for area, count in torn.items())
+        result.append(
+            f"The map is in components that nothing links ({parts}): each is drawn by itself, "
+            "and how they lie to each other is not known."
+        )
+    left = [view for view in views if not any(view is each for each in shown)]
+    if left:
+        fragments = sum(len(view.spots) for view in left)
+        named = ", ".join(view.name for view in left[:_MOST_NAMED])
+        more = f" and {len(left) - _MOST_NAMED} more" if len(left) > _MOST_NAMED else ""
+        result.append(
+            f"Of {len(views)} components of the areas {len(shown)} are drawn, the largest of each "
+            f"area first; left out: {named}{more} ({fragments:,} "
+            f"fragment{'s' * (fragments != 1)})."
+        )
+    unplaced = len(graph.nodes) - len(graph.poses())
+    if unplaced:
+        result.append(
+            f"{unplaced:,} of {len(graph.nodes):,} fragments are in no component of the map, so "
+            "no picture of it shows them."
+        )
+    return result
 
 
 def _plot(key: str, chart: Chart, data: dict[str, Any]) -> Plot:

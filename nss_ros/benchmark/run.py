@@ -8,7 +8,7 @@ from pathlib import Path
 from nss_ros.bag import Log, read_log, with_source_points
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.evaluation import Evaluation, evaluate
-from nss_ros.benchmark.run_timing import RunTiming, read_timing
+from nss_ros.benchmark.run_timing import RunTiming, timing_of
 from nss_ros.benchmark.score import LogScore, summarize
 from nss_ros.benchmark.table import notes
 
@@ -43,7 +43,8 @@ def read_run(path: Path, bootstrap: Bootstrap | None = None) -> Run:
     Raises:
         BagError: there is no log, or it cannot be read.
     """
-    return measured_run(with_source_points(read_log(path)), read_timing(path), bootstrap)
+    log = read_log(path)
+    return measured_run(with_source_points(log), timing_of(log), bootstrap)
 
 
 def measured_run(log: Log, timing: RunTiming, bootstrap: Bootstrap | None = None) -> Run:

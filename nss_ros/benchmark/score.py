@@ -1,16 +1,19 @@
 """The score of a log: what a run estimated against the ground truth that was recorded beside it.
 
 Pairwise figures judge the relative transforms, multi-way figures the poses of the final map.
-Both are over the ground-truth edges of a graph: an edge without an answer, or whose fragments
-are not both in the graph's main component, counts as a miss. "All", "same-stage" and
-"different-stage" are by the kind of the ground-truth edge. Overall figures are micro averages:
-over all edges, fragments and points of all graphs together.
+Both are over the ground-truth edges of a graph: an edge without an answer counts as a miss, and
+in the map one whose fragments are not in one component of it. A map in two halves that nothing
+links can so have all edges within them right; how many fragments are in which component, and the
+recall of the main component alone, stand beside it. "All", "same-stage" and "different-stage" are
+by the kind of the ground-truth edge. Overall figures are micro averages: over all edges,
+fragments and points of all graphs together.
 
-A graph's main component is the largest that accepted edges form among its own fragments; the
-other fragments count as outliers. The global RMSE is over the points of placed fragments of the
-main component that are no outliers in the ground truth, in the frame of the first of them, and
-is to be read with its coverage; the official definition instead takes unplaced fragments as
-collapsed into the anchor's origin (the zero matrix of a submission), and stands beside it.
+A graph's main component is the largest that accepted edges form among its own fragments. Figures
+that need one frame are of that alone, and the other fragments count as outliers, as in a
+submission to the challenge. The global RMSE is over the points of fragments of the main component
+that are no outliers in the ground truth, in the frame of the first of them, and is to be read
+with its coverage; the official definition instead takes the others as collapsed into the anchor's
+origin (the zero matrix of a submission), and stands beside it.
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ from nss_ros.benchmark.evaluation import (
     Evaluation,
     Placements,
     evaluate,
+    in_main_successes,
     rows,
 )
 from nss_ros.benchmark.headline import KINDS, Headline, headline
@@ -91,12 +95,17 @@ class MapScore:
     Attributes:
         fragments: in the graph.
         placed: of these, fragments in the main component.
+        placed_elsewhere: of these, fragments in other components.
         components: components of two or more fragments.
-        outlier_f1: F1 of unplaced fragments as outliers, percent; 100 where the ground truth has
-            none, as in the challenge.
-        global_rmse: over placed fragments, metres; NaN without point clouds or placed fragments.
-        coverage: percent of the ground truth's points whose fragment is placed; of fragments
-            without point clouds.
+        component_sizes: fragments of each component, of each graph the main one first.
+        recall_main: percent of all ground-truth edges that are right (10 deg, 0.2 m) in the main
+            component, edges elsewhere being misses: the recall of a submission to the challenge
+            at 0.2 m. Never above the multi-way recall, and equal to it with a single component.
+        outlier_f1: F1 of fragments outside of the main component as outliers, percent; 100 where
+            the ground truth has none, as in the challenge.
+        global_rmse: over the main component, metres; NaN without point clouds or such fragments.
+        coverage: percent of the ground truth's points whose fragment is in the main component;
+            of fragments without point clouds.
         official_global_rmse: by the challenge's definition, on what 'nss export' would write,
             metres, overall the mean over graphs; NaN without point clouds, or where that
             definition does not apply (nothing placed).
@@ -104,7 +113,10 @@ class MapScore:
 
     fragments: int
     placed: int
+    placed_elsewhere: int
     components: int
+    component_sizes: tuple[int, ...]
+    recall_main: float
     outlier_f1: float
     global_rmse: float
     coverage: float
@@ -118,7 +130,8 @@ class GraphScore:
     Attributes:
         name: of the graph or area.
         pairwise: relative transforms against the ground truth.
-        multiway: relative transforms of the map's poses; None if the log holds no map.
+        multiway: relative transforms of the map's poses within its components; None if the log
+            holds no map.
         map: the map's poses; None if the log holds no map, and for an area also if one of its
             graphs reaches into another area.
     """
@@ -303,7 +316,7 @@ def _graph_score(
         name,
         _subsets(edges.pairwise, edges.same_stage, chosen),
         _subsets(edges.multiway, edges.same_stage, chosen) if edges.multiway else None,
-        _map_score(placements, evaluation.components, graphs) if placements and graphs else None,
+        _map_score(evaluation, placements, chosen, graphs) if placements and graphs else None,
     )
 
 
@@ -328,7 +341,10 @@ def _edge_score(estimates: Estimates) -> EdgeScore:
     )
 
 
-def _map_score(placements: Placements, components: tuple[int, ...], graphs: set[int]) -> MapScore:
+def _map_score(
+    evaluation: Evaluation, placements: Placements, chosen: Booleans, graphs: set[int]
+) -> MapScore:
+    sizes = [size for graph in sorted(graphs) for size in evaluation.components[graph]]
     here = rows(placements, np.isin(placements.graph, sorted(graphs)))
     placed_points = float(here.points[here.placed].sum())
     points = float(here.points.sum())
@@ -339,7 +355,10 @@ def _map_score(placements: Placements, components: tuple[int, ...], graphs: set[
     return MapScore(
         fragments=len(here.ids),
         placed=int(here.placed.sum()),
-        components=sum(components[graph] for graph in graphs),
+        placed_elsewhere=sum(sizes) - int(here.placed.sum()),
+        components=len(sizes),
+        component_sizes=tuple(sizes),
+        recall_main=recall(in_main_successes(evaluation.edges)[chosen]),
         outlier_f1=f1_score(here.outlier, ~here.placed) if here.outlier.any() else 100.0,
         global_rmse=float(np.sqrt(here.squares.sum() / placed_points)) if placed_points else NAN,
         coverage=placed_points / points * 100 if points else NAN,

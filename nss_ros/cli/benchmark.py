@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.progress import TaskID
 
 from nss_ros.bag import read_log, with_source_points
-from nss_ros.batch.plan import BatchSplit, PairChoice
 from nss_ros.batch.registering import Workforce
 from nss_ros.batch.run import BatchResult, Choice, RunLog, run_benchmark
+from nss_ros.batch.source import BatchSplit, PairChoice, open_source
 from nss_ros.batch.timing import Timing
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.evaluation import evaluate
@@ -22,18 +22,23 @@ from nss_ros.benchmark.score import LogScore, summarize
 from nss_ros.benchmark.table import multiway_table, notes, pairwise_table
 from nss_ros.cli.map import ConfigOption, SetOption
 from nss_ros.cli.output import print_json
-from nss_ros.cli.pairs import DatasetArgument, EngineOption
+from nss_ros.cli.pairs import EngineOption
 from nss_ros.cli.progress import progress_bar
 from nss_ros.cli.table_format import FormatOption, TableFormat, print_tables
 from nss_ros.config import load_config
-from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.errors import RunError
 from nss_ros.parallel import Engine, run
 from nss_ros.table import Align, Column, Table
 
 
 def benchmark(
-    dataset: DatasetArgument,
+    dataset: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DATASET",
+            help="Dataset folder, from 'nss simulate', or a bag with ground truth.",
+        ),
+    ],
     output: Annotated[
         Path,
         typer.Option("--output", "-o", help="Folder of the results; one cut short is completed."),
@@ -53,7 +58,10 @@ def benchmark(
     ] = False,
     pairs: Annotated[
         PairChoice,
-        typer.Option(help="The balanced choice of 'nss pairs', or all that overlap enough."),
+        typer.Option(
+            help="The balanced choice of 'nss pairs' (of a bag: what it asks for), or all that "
+            "overlap enough."
+        ),
     ] = PairChoice.SELECTED,
     training: Annotated[
         str,
@@ -70,7 +78,7 @@ def benchmark(
     form: FormatOption = TableFormat.RICH,
     json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
-    """Run registration methods over a dataset's pairs, and multi-way methods over the results.
+    """Run registration methods over the pairs of a dataset or bag, and multi-way methods after.
 
     Writes logs that 'nss score', 'nss compare' and 'nss report' read like those of 'nss map', and
     prints their tables. The same command goes on after an interruption; further methods, splits
@@ -90,7 +98,7 @@ def benchmark(
         training=training,
     )
     force = Workforce(own.workers if workers is None else workers, engine, own.memory_limit)
-    folder = DatasetFolder(dataset)
+    source = open_source(dataset)
     begin = time.monotonic()
     with progress_bar(quiet=json) as progress:
         tasks: dict[str, TaskID] = {}
@@ -100,7 +108,7 @@ def benchmark(
                 tasks[name] = progress.add_task(name, total=total)
             progress.update(tasks[name], completed=done, total=total)
 
-        result = run_benchmark(folder, output, choice, settings, force, report)
+        result = run_benchmark(source, output, choice, settings, force, report)
         scores = []
         for score in run(_score, result.logs, force.here):
             scores.append(score)

@@ -18,7 +18,7 @@ from nss_ros.benchmark.evaluation import evaluate, joined
 from nss_ros.benchmark.gate import COUNTS, parse_gate
 from nss_ros.benchmark.headline import FIGURES
 from nss_ros.benchmark.metrics import MAX_RRE, MAX_RTE_CHALLENGE
-from nss_ros.benchmark.run import read_run
+from nss_ros.benchmark.run import Run, read_run
 from nss_ros.benchmark.score import LogScore, summarize
 from nss_ros.benchmark.table import (
     OFFICIAL_NAMES,
@@ -100,13 +100,14 @@ def score(
             raise InputError("--points belongs to --target and --prediction: a LOG has its own.")
         gates = [parse_gate(text, (*FIGURES, *COUNTS)) for text in fail_if]
         bootstrap = Bootstrap(resamplings, seed, by_fragment=by_fragment)
-        scores = _scores(logs, together, bootstrap)
+        # Figures take the whole logs; without them only what was measured stays in memory.
+        runs = [read_run(log, bootstrap) for log in logs] if figures is not None else []
+        scores = _scores(logs, runs, together, bootstrap)
         if json:
             print_json(asdict(scores[0]) if len(scores) == 1 else {"logs": [*map(asdict, scores)]})
         else:
             _print_scores(scores, table, form)
         if figures is not None:
-            runs = [read_run(log, bootstrap) for log in logs]
             for path in write_figures(runs, worst, figures, ending):
                 Console(stderr=True).print(f"Wrote {path}", soft_wrap=True, highlight=False)
         exit_on_failure(gates, {each.log: _values(each) for each in scores})
@@ -130,9 +131,14 @@ def score(
         print_tables(chosen_tables(challenge_tables(official), table), official.notes, form)
 
 
-def _scores(logs: Sequence[Path], together: bool, bootstrap: Bootstrap) -> list[LogScore]:
-    # One after the other: the point clouds of a log go before those of the next come.
-    evaluations = [evaluate(with_source_points(read_log(log))) for log in logs]
+def _scores(
+    logs: Sequence[Path], runs: Sequence[Run], together: bool, bootstrap: Bootstrap
+) -> list[LogScore]:
+    if runs:
+        evaluations = [run.evaluation or evaluate(run.log) for run in runs]
+    else:
+        # One after the other: the point clouds of a log go before those of the next come.
+        evaluations = [evaluate(with_source_points(read_log(log))) for log in logs]
     if together:
         evaluations = [joined(evaluations)]
     return [summarize(evaluation, bootstrap) for evaluation in evaluations]

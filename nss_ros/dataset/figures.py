@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from nss_ros.colors import STAGE_COLORS
+from nss_ros.colors import stage_hex
 from nss_ros.errors import InputError
 from nss_ros.files import write_file
 from nss_ros.fragment import FragmentId
@@ -115,7 +115,7 @@ def plan_figure(graph: PoseGraph) -> Figure:
             axes.remove()
         for number, stage in enumerate(stages):
             axes = panels.flat[number]
-            lines = _draw_stage(axes, graph, stage, _colour(number))
+            lines = _draw_stage(axes, graph, stage, stage_hex(stage))
             axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
             axes.tick_params(labelbottom=number + columns >= len(stages))
             axes.locator_params(nbins=7, steps=(1, 2, 5, 10))
@@ -150,9 +150,9 @@ def spatiotemporal_figure(graph: PoseGraph) -> Figure:
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot(frameon=False)
         _draw_levels(axes, stages, outline, lift)
-        for number, stage in enumerate(stages):
+        for stage in stages:
             here = np.array([place for id_, place in places.items() if id_.stage == stage])
-            _draw_spots(axes, here, _colour(number), f"stage {stage}")
+            _draw_spots(axes, here, stage_hex(stage), f"stage {stage}")
         _draw_edges(axes, graph, places, EdgeKind.SAME_STAGE, "within a stage")
         _draw_edges(axes, graph, places, EdgeKind.DIFFERENT_STAGE, "between stages")
         axes.set(aspect="equal", xticks=[], yticks=[])
@@ -287,10 +287,10 @@ def _draw_spots(axes: Axes, places: Array, colour: str, label: str | None = None
 
 
 def _draw_levels(axes: Axes, stages: list[int], outline: Array, lift: float) -> None:
-    for number in range(len(stages)):
+    for number, stage in enumerate(stages):
         x, y = _oblique(outline, lift * number).T
-        axes.fill(x, y, facecolor=_colour(number), alpha=0.07, zorder=0)
-        axes.plot(x, y, color=_colour(number), linewidth=0.8, alpha=0.6, zorder=0)
+        axes.fill(x, y, facecolor=stage_hex(stage), alpha=0.07, zorder=0)
+        axes.plot(x, y, color=stage_hex(stage), linewidth=0.8, alpha=0.6, zorder=0)
 
 
 def _draw_edges(
@@ -335,10 +335,6 @@ def _oblique(places: Array, height: float) -> Array:
     """Places (..., 2) on a level of some height, drawn in cabinet projection."""
     x, y = places[..., 0], places[..., 1]
     return np.stack((x + _SKEW * y, _FORESHORTENING * y + height), axis=-1)
-
-
-def _colour(number: int) -> str:
-    return STAGE_COLORS[number % len(STAGE_COLORS)]
 
 
 def _graph_title(graph: PoseGraph) -> str:

@@ -9,13 +9,16 @@
     answers/<figure>            confidence, seconds, RMSE and inlier ratio of each answer
     run, rejected               texts: metadata, why edges were rejected
 
-Lengths are metres, poses those of the largest component in its map frame. The timeline `answer`
+This is the largest component; the map, the fragments and the graph of the others lie below
+component_2, component_3, …, each in a map frame and a view of its own, since nothing links them.
+Fragments that are in no component are not drawn. Lengths are metres. The timeline `answer`
 counts the answers to pairs; what is drawn of a graph that still changes lies on it, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +33,14 @@ from nss_ros.viewing.sink import rerun
 
 ANSWERS = "answer"
 """Timeline: the number of the answer."""
-FIGURES = ("confidence", "seconds", "rmse", "inlier_ratio")
+FIGURES = {
+    "confidence": "confidence of each answer",
+    "seconds": "seconds of each answer",
+    "rmse": "RMSE of its inliers (m)",
+    "inlier_ratio": "inlier ratio",
+}
+"""Of answers, with the titles of their plots."""
+_MOST_VIEWS = 12  # of components
 
 _NODE_RADIUS, _EDGE_RADIUS = 0.12, 0.015
 _LOW, _HIGH = np.array((0.27, 0.0, 0.33)), np.array((0.99, 0.91, 0.14))  # ends of viridis
@@ -50,13 +60,15 @@ class Scene:
         self._recording = recording
         self._voxel_size = voxel_size
         self._changing = changing
-        self._stages: set[int] = set()
-        self._drawn: set[FragmentId] = set()
+        self._maps: dict[str, int] = {}
+        self._spots: set[tuple[str, int]] = set()
+        self._drawn: dict[FragmentId, str] = {}
         self._answers = 0
-        recording.send_blueprint(_layout())
+        self._components = 1
+        recording.send_blueprint(_layout(1))
         recording.log("/", self._rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for figure in FIGURES:
-            line = self._rerun.SeriesPoints(names=figure.replace("_", " "), marker_sizes=2.0)
+        for figure, title in FIGURES.items():
+            line = self._rerun.SeriesPoints(names=title, marker_sizes=2.0)
             recording.log(f"answers/{figure}", line, static=True)
 
     def describe(self, metadata: Mapping[str, str]) -> None:
@@ -67,45 +79,49 @@ class Scene:
 
     def draw_map(self, graph: PoseGraph, fragments: Mapping[FragmentId, Fragment]) -> None:
         """Draw the map and its fragments."""
-        points, stages = map_points(dict(fragments), graph, self._voxel_size)
-        for stage in sorted({int(value) for value in set(stages.tolist())} | self._stages):
-            self.draw_stage(stage, points[stages == stage])
-        placed = _placed(graph)
-        for id_ in sorted(self._drawn - placed.keys()):
-            self._log(_fragment_path(id_), self._rerun.Clear(recursive=True))
-        self._drawn &= placed.keys()
-        for id_, node in placed.items():
-            if id_ in fragments:
-                self._draw_fragment(fragments[id_], node)
-
-    def draw_stage(self, stage: int, points: Points) -> None:
-        """Draw the map of one stage, points (n, 3) in the map frame."""
-        self._stages.add(stage)
-        cloud = self._rerun.Points3D(points, colors=_octets(stage_color(stage)), radii=0.02)
-        self._log(f"map/stage_{stage}", cloud)
+        clouds: dict[str, tuple[int, Points]] = {}
+        paths: dict[FragmentId, str] = {}
+        nodes: dict[FragmentId, Node] = {}
+        for root, part in _parts(graph):
+            points, stages = map_points(dict(fragments), part, self._voxel_size)
+            for stage in sorted({int(value) for value in set(stages.tolist())}):
+                clouds[f"{root}map/stage_{stage}"] = stage, points[stages == stage]
+            here = {node.id: node for node in part.nodes if node.id in fragments}
+            paths |= {id_: f"{root}{_fragment_path(id_)}" for id_ in here}
+            nodes |= here
+        nothing = np.zeros((0, 3), np.float32)
+        gone = {path: (stage, nothing) for path, stage in self._maps.items() if path not in clouds}
+        for path, (stage, points) in (clouds | gone).items():
+            self._draw_cloud(path, stage, points)
+        self._maps |= {path: stage for path, (stage, _) in clouds.items()}
+        for id_, path in list(self._drawn.items()):
+            if paths.get(id_) != path:
+                self._log(path, self._rerun.Clear(recursive=True))
+                del self._drawn[id_]
+        for id_, path in paths.items():
+            self._draw_fragment(path, fragments[id_], nodes[id_])
 
     def draw_graph(
         self, graph: PoseGraph, answers: Mapping[FragmentPair, RelativeTransform]
     ) -> None:
         """Draw the nodes and edges of a pose graph, and the confidence of answers along it."""
-        placed = _placed(graph)
-        by_stage: dict[int, list[Node]] = {}
-        for id_ in sorted(placed):
-            by_stage.setdefault(id_.stage, []).append(placed[id_])
-        for stage, nodes in by_stage.items():
-            self._draw_nodes(stage, nodes)
-        for name, status, color in (
-            ("accepted", EdgeStatus.ACCEPTED, ACCEPTED),
-            ("rejected", EdgeStatus.REJECTED, REJECTED),
-        ):
-            pairs = [edge.pair for edge in graph.edges if edge.status is status]
-            self._draw_lines(f"graph/{name}", _inside(pairs, placed), placed, _octets(color))
-        known = _inside([pair for pair, answer in answers.items() if answer.ok], placed)
-        shares = np.array([answers[pair].confidence for pair in known])
-        self._draw_lines("graph/confidence", known, placed, _shades(shares))
+        parts = _parts(graph)
+        spots = {(root, node.id.stage) for root, part in parts for node in part.nodes}
+        for root, stage in sorted(self._spots - spots):
+            for path in _spot_paths(root, stage):
+                self._log(path, self._rerun.Clear(recursive=False))
+        self._spots = spots
+        for root, part in parts:
+            self._draw_part(root, part, answers)
+        for number in range(len(parts) + 1, self._components + 1):
+            self._log(f"{_root(number)}graph", self._rerun.Clear(recursive=True))
+        if len(parts) > self._components:
+            self._components = len(parts)
+            self._recording.send_blueprint(_layout(min(self._components, _MOST_VIEWS)))
         rejected = [edge for edge in graph.edges if edge.status is not EdgeStatus.ACCEPTED]
-        lines = [f"| {e.pair} | {e.status.name.lower()} | {e.reason} |" for e in rejected]
-        self._text("rejected", "\n".join(["| pair | status | reason |", "|---|---|---|", *lines]))
+        # A list, whose lines are broken: the end of a wide table is out of sight.
+        lines = [f"- {e.pair}: {e.status.name.lower()}, {e.reason}" for e in rejected]
+        self._text("rejected", "\n".join(lines) or "Every edge was accepted.")
 
     def add_answers(self, answers: Sequence[RelativeTransform]) -> None:
         """Plot figures of further answers; those of failures have no value but seconds."""
@@ -130,21 +146,45 @@ class Scene:
                     module.Scalars.columns(scalars=[value for _, value in values]),
                 )
 
-    def _draw_fragment(self, fragment: Fragment, node: Node) -> None:
-        path = _fragment_path(fragment.id)
+    def _draw_part(
+        self, root: str, part: PoseGraph, answers: Mapping[FragmentPair, RelativeTransform]
+    ) -> None:
+        """Draw the graph of one component."""
+        placed = part.poses()
+        by_stage: dict[int, list[Node]] = {}
+        for id_ in sorted(placed):
+            by_stage.setdefault(id_.stage, []).append(placed[id_])
+        for stage, nodes in by_stage.items():
+            self._draw_nodes(root, stage, nodes)
+        for name, status, color in (
+            ("accepted", EdgeStatus.ACCEPTED, ACCEPTED),
+            ("rejected", EdgeStatus.REJECTED, REJECTED),
+        ):
+            pairs = [edge.pair for edge in part.edges if edge.status is status]
+            self._draw_lines(f"{root}graph/{name}", pairs, placed, _octets(color))
+        answered = [pair for pair, answer in answers.items() if answer.ok]
+        known = [pair for pair in answered if pair.source in placed and pair.target in placed]
+        shares = np.array([answers[pair].confidence for pair in known])
+        self._draw_lines(f"{root}graph/confidence", known, placed, _shades(shares))
+
+    def _draw_cloud(self, path: str, stage: int, points: Points) -> None:
+        cloud = self._rerun.Points3D(points, colors=_octets(stage_color(stage)), radii=0.02)
+        self._log(path, cloud)
+
+    def _draw_fragment(self, path: str, fragment: Fragment, node: Node) -> None:
         pose = node.T_map_fragment
         self._log(path, self._rerun.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
         if fragment.id not in self._drawn:
-            self._drawn.add(fragment.id)
+            self._drawn[fragment.id] = path
             points = voxelize(fragment.points, self._voxel_size)
-            color = _octets(stage_color(fragment.id.stage))
-            self._log(path, self._rerun.Points3D(points, colors=color, radii=0.02))
+            self._draw_cloud(path, fragment.id.stage, points)
 
-    def _draw_nodes(self, stage: int, nodes: Sequence[Node]) -> None:
+    def _draw_nodes(self, root: str, stage: int, nodes: Sequence[Node]) -> None:
         positions = np.array([node.T_map_fragment[:3, 3] for node in nodes])
         color = _octets(stage_color(stage))
+        spots, way = _spot_paths(root, stage)
         self._log(
-            f"graph/stage_{stage}",
+            spots,
             self._rerun.Points3D(
                 positions,
                 colors=color,
@@ -154,7 +194,7 @@ class Scene:
             ),
         )
         path = self._rerun.LineStrips3D([positions], colors=color, radii=_EDGE_RADIUS)
-        self._log(f"graph/path/stage_{stage}", path)
+        self._log(way, path)
 
     def _draw_lines(
         self,
@@ -188,29 +228,50 @@ class Scene:
         self._log(path, self._rerun.TextDocument(text, media_type=markdown))
 
 
-def _layout() -> Any:
+def _layout(components: int) -> Any:
+    """The views: of each component one, and what is told of answers and edges."""
     views = rerun().blueprint
+    others = [
+        views.Spatial3DView(
+            name=f"Component {number}",
+            contents=[
+                f"+ /{_root(number)}map/**",
+                f"+ /{_root(number)}graph/**",
+                f"- /{_root(number)}graph/confidence",
+            ],
+        )
+        for number in range(2, components + 1)
+    ]
     return views.Blueprint(
         views.Horizontal(
             views.Tabs(
                 views.Spatial3DView(
-                    name="Map by stage",
+                    name="Map by stage" if not others else "Component 1",
                     contents=["+ /map/**", "+ /graph/**", "- /graph/confidence"],
                 ),
+                *others,
                 views.Spatial3DView(
                     name="Confidence", contents=["+ /graph/confidence", "+ /map/**"]
                 ),
                 views.Spatial3DView(name="Fragments", contents=["+ /fragments/**"]),
+                active_tab=0,
             ),
             views.Vertical(
                 *(
-                    views.TimeSeriesView(name=name, contents=[f"+ /answers/{name}"])
-                    for name in FIGURES
+                    views.TimeSeriesView(
+                        name=title,
+                        contents=[f"+ /answers/{name}"],
+                        # The title says it, and a legend would hide points.
+                        plot_legend=views.PlotLegend(visible=False),
+                    )
+                    for name, title in FIGURES.items()
                 ),
                 views.Tabs(
                     views.TextDocumentView(name="Rejected edges", origin="/rejected"),
                     views.TextDocumentView(name="Run", origin="/run"),
+                    active_tab=0,
                 ),
+                row_shares=[*(1 for _ in FIGURES), 2],
             ),
             column_shares=[2, 1],
         ),
@@ -218,12 +279,27 @@ def _layout() -> Any:
     )
 
 
-def _placed(graph: PoseGraph) -> dict[FragmentId, Node]:
-    return {id_: node for id_, node in graph.poses().items() if node.component == 0}
+def _root(number: int) -> str:
+    """Below which the component of a number, from 1, is drawn."""
+    return "" if number == 1 else f"component_{number}/"
 
 
-def _inside(pairs: Iterable[FragmentPair], placed: Mapping[FragmentId, Node]) -> list[FragmentPair]:
-    return [pair for pair in pairs if pair.source in placed and pair.target in placed]
+def _spot_paths(root: str, stage: int) -> tuple[str, str]:
+    """Of the spots of a stage, and of the way through them."""
+    return f"{root}graph/stage_{stage}", f"{root}graph/path/stage_{stage}"
+
+
+def _parts(graph: PoseGraph) -> list[tuple[str, PoseGraph]]:
+    """Each component as a graph of its own, the largest first, with the path of its root."""
+    members: dict[int, list[Node]] = {}
+    for node in graph.poses().values():
+        members.setdefault(node.component, []).append(replace(node, component=0))
+    parts = []
+    for number, component in enumerate(sorted(members), start=1):
+        here = {node.id for node in members[component]}
+        edges = tuple(e for e in graph.edges if {e.pair.source, e.pair.target} <= here)
+        parts.append((_root(number), PoseGraph(tuple(members[component]), edges)))
+    return parts or [("", PoseGraph())]
 
 
 def _fragment_path(id_: FragmentId) -> str:

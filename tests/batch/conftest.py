@@ -70,12 +70,12 @@ class Angry(Guess):
         return super().register(source, target, seed)
 
 class Lethal(Guess):
-    """Kills the process that registers a source of spot 2."""
+    """Kills the process that registers a source of spot 2, unless GUESS_TAMED is set."""
 
     name = "lethal"
 
     def register(self, source, target, seed):
-        if source[0].spot == 2:
+        if source[0].spot == 2 and not os.environ.get("GUESS_TAMED"):
             os.kill(os.getpid(), signal.SIGKILL)
         return super().register(source, target, seed)
 

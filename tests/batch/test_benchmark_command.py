@@ -86,7 +86,7 @@ def test_bad_inputs_are_named(dataset_path, tmp_path):
     assert isinstance(found, ConfigError)
     found = error(benchmark(tmp_path, output))
     assert isinstance(found, FormatError)
-    assert "is not a dataset" in str(found)
+    assert "is neither a dataset" in str(found)
     bare = tmp_path / "bare"
     shutil.copytree(dataset_path, bare)
     (bare / "pairs.csv").unlink()

@@ -16,11 +16,11 @@ from nss_ros.batch.journal import Journal
 from nss_ros.messages import pose_graph_message, rosbags_family
 
 _COMMAND = [sys.executable, "-c", "from nss_ros.cli import main; main()", "benchmark"]
-_PATIENCE = 60.0
+_PATIENCE = 240.0
 
 
-def start(dataset_path, output, *arguments):
-    command = [*_COMMAND, dataset_path, "-m", "guess", "-o", output, "--json", *arguments]
+def start(dataset_path, output, *arguments, method="guess"):
+    command = [*_COMMAND, dataset_path, "-m", method, "-o", output, "--json", *arguments]
     return subprocess.Popen(
         [str(each) for each in command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -102,6 +102,48 @@ def content(path: str):
     times = {"start_time", "benchmark.register_seconds", "benchmark.prepare_seconds"}
     metadata = {name: value for name, value in log.metadata.items() if name not in times}
     return log.partial, answers, graphs, metadata
+
+
+def died(output: Path) -> int:
+    with Journal(output / "journal") as journal:
+        return sum(not entry.final for entry in journal.of("lethal").values())
+
+
+@pytest.mark.usefixtures("plugins")
+def test_pairs_whose_worker_died_are_tried_again_by_the_next_session(
+    dataset_path, tmp_path, monkeypatch
+):
+    """Workers that kill themselves, then are tamed; the session that mends it is killed, too."""
+    arguments = ("--split", "cross_stage", "--split", "all", "--workers", 1)
+    output = tmp_path / "results"
+    first = finished(start(dataset_path, output, *arguments, method="lethal"))
+    lost = died(output)
+    assert lost > 1
+    assert all(log["score"]["failed"] > 0 for log in first["logs"])
+    # What dies again changes nothing.
+    files = {path: path.stat().st_mtime_ns for path in output.glob("logs/*/*.mcap")}
+    again = finished(start(dataset_path, output, *arguments, method="lethal"))
+    assert (died(output), again["logs"]) == (lost, first["logs"])
+    assert {path: path.stat().st_mtime_ns for path in output.glob("logs/*/*.mcap")} == files
+
+    monkeypatch.setenv("GUESS_TAMED", "1")
+    whole = finished(start(dataset_path, tmp_path / "whole", *arguments, method="lethal"))
+    monkeypatch.setenv("GUESS_DELAY", "0.4")
+    process = start(dataset_path, output, *arguments, method="lethal")
+    try:
+        until(lambda: died(output) < lost)
+    finally:
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    assert died(output) > 0
+    monkeypatch.setenv("GUESS_DELAY", "0")
+    # One split by itself: the log of the other is out of date, and made anew when asked for.
+    finished(start(dataset_path, output, *arguments[2:], method="lethal"))
+    assert died(output) == 0
+    mended = finished(start(dataset_path, output, *arguments, method="lethal"))
+    for one, other in zip(whole["logs"], mended["logs"], strict=True):
+        assert content(one["path"]) == content(other["path"])
+        assert other["score"]["failed"] == 0
 
 
 @pytest.mark.usefixtures("plugins")

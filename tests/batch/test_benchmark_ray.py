@@ -3,9 +3,9 @@
 import pytest
 
 from nss_ros.bag import read_log
-from nss_ros.batch.plan import BatchSplit
 from nss_ros.batch.registering import Workforce
 from nss_ros.batch.run import Choice, run_benchmark
+from nss_ros.batch.source import BatchSplit, DatasetSource
 from nss_ros.config import NssConfig
 from nss_ros.errors import InputError
 from nss_ros.parallel import Engine, run, stream
@@ -52,7 +52,7 @@ def test_the_cluster_gives_what_this_machine_gives(dataset, tmp_path, cluster): 
         ("there", Workforce(engine=Engine.RAY)),
     ):
         choice = Choice(["guess", "lethal"], splits, ["choi"])
-        made = run_benchmark(dataset, tmp_path / name, choice, NssConfig(), force)
+        made = run_benchmark(DatasetSource(dataset), tmp_path / name, choice, NssConfig(), force)
         logs[name] = [read_log(log.path) for log in made.logs]
     for here, there in zip(logs["here"], logs["there"], strict=True):
         assert here.pairs == there.pairs

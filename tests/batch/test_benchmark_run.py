@@ -9,9 +9,9 @@ import pytest
 from nss_ros.bag import read_log, with_source_points
 from nss_ros.bag_reader import encode
 from nss_ros.batch.journal import Journal
-from nss_ros.batch.plan import BatchSplit, PairChoice
 from nss_ros.batch.registering import Workforce
 from nss_ros.batch.run import Choice, run_benchmark
+from nss_ros.batch.source import BatchSplit, DatasetSource, PairChoice
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.evaluation import evaluate
 from nss_ros.benchmark.score import score_log
@@ -56,7 +56,7 @@ def go(dataset, output, methods=("guess",), splits=(ALL,), synchronizers=("choi"
     force = Workforce(options.pop("workers", 1), memory_limit=options.pop("memory_limit", 1024))
     report = options.pop("report", lambda *_: None)
     choice = Choice(methods, splits, synchronizers, **options)
-    return run_benchmark(dataset, output, choice, config, force, report)
+    return run_benchmark(DatasetSource(dataset), output, choice, config, force, report)
 
 
 def test_a_pair_has_the_answer_that_the_graph_gives(dataset, tmp_path):

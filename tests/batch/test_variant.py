@@ -9,9 +9,9 @@ import pytest
 
 from nss_ros.bag import read_log
 from nss_ros.batch.pair_sample import PairSample, sample_apart
-from nss_ros.batch.plan import BatchSplit, PairChoice
 from nss_ros.batch.registering import Workforce
 from nss_ros.batch.run import Choice, run_benchmark
+from nss_ros.batch.source import BatchSplit, DatasetSource, PairChoice
 from nss_ros.batch.variant import Variant, run_variant, run_variants
 from nss_ros.batch.variant_table import variant_table, variant_tables
 from nss_ros.benchmark.bootstrap import Bootstrap
@@ -51,7 +51,9 @@ def plain(dataset_path, sample):
 def test_answers_are_those_of_nss_benchmark(dataset, sample, plain, tmp_path):
     result = plain
     choice = Choice(("fpfh_ransac",), (BatchSplit.ALL,), (), PairChoice.SELECTED)
-    made = run_benchmark(dataset, tmp_path / "out", choice, load_config(None, QUICK), Workforce(1))
+    made = run_benchmark(
+        DatasetSource(dataset), tmp_path / "out", choice, load_config(None, QUICK), Workforce(1)
+    )
     expected = score_log(read_log(made.logs[0].path), FEW)
     assert result.score.overall.pairwise.all.edges == len(sample.overlapping) > 5
     for kind in ("same_stage", "different_stage"):

@@ -1,6 +1,7 @@
 """Runs over a small room, without running anything."""
 
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from nss_ros.bag import Log
 from nss_ros.geometry import exponential
-from nss_ros.multiway.pose_graph import PoseGraph
+from nss_ros.multiway.pose_graph import EdgeStatus, PoseGraph
 from nss_ros.registration.relative_transform import RelativeTransform
 
 
@@ -49,3 +50,29 @@ def make_run(room):
         return replace(log, **changes)
 
     return make
+
+
+@pytest.fixture
+def cut():
+    """Cuts the map of a log into components."""
+
+    def cut_map(log, *ends):
+        """The log with a map in components of nodes up to each end, each in a frame of its own."""
+        nodes = []
+        for component, (begin, end) in enumerate(pairwise((0, *ends))):
+            frame = exponential([50.0 * component, 0, 0, 0, 0, 1.0 * component])
+            nodes += [
+                replace(n, T_map_fragment=frame @ n.T_map_fragment, component=component)
+                for n in log.pose_graph.nodes[begin:end]
+            ]
+        of = {node.id: node.component for node in nodes}
+        edges = tuple(
+            edge
+            if of[edge.pair.source] == of[edge.pair.target]
+            else replace(edge, status=EdgeStatus.REJECTED)
+            for edge in log.pose_graph.edges
+        )
+        graph = replace(log.pose_graph, nodes=tuple(nodes), edges=edges)
+        return replace(log, pose_graph=graph)
+
+    return cut_map

@@ -135,19 +135,64 @@ def test_an_unplaced_fragment_costs_recall_and_coverage(room):
     assert figures.official_global_rmse > 0.1
 
 
-def test_two_components_only_the_larger_counts(room):
+def test_edges_within_any_component_count_and_those_between_are_misses(room, cut):
+    score = score_log(cut(perfect_log(room), 4, 6)).overall
+    # Of 15 edges 6 are in the component of four fragments, and 1 in that of two.
+    assert (score.multiway.all.edges, score.multiway.all.answered) == (15, 7)
+    assert score.multiway.all.recall == pytest.approx(7 / 15 * 100)
+    assert score.multiway.all.rte < 1e-9
+    assert score.multiway.all.rmse < 0.1
+    figures = score.map
+    assert (figures.placed, figures.placed_elsewhere, figures.fragments) == (4, 2, 6)
+    assert (figures.components, figures.component_sizes) == (2, (4, 2))
+    assert figures.recall_main == pytest.approx(6 / 15 * 100)
+    assert figures.global_rmse < 1e-9
+    assert figures.coverage < 100
+
+
+def test_two_right_halves_are_right_though_nothing_links_them(room, cut):
+    """Without ground-truth edges between the halves there is nothing that the map lacks."""
+    log = cut(perfect_log(room), 3, 6)
+    truth = log.ground_truth[0]
+    inside = tuple(edge for edge in truth.edges if edge.pair.same_stage)
+    score = score_log(replace(log, ground_truth=(replace(truth, edges=inside),)))
+    overall = score.overall
+    assert overall.multiway.all.recall == score.headline["multiway_recall_all"].value == 100.0
+    assert overall.map.recall_main == score.headline["multiway_recall_main"].value == 50.0
+    assert (overall.map.placed, overall.map.placed_elsewhere) == (3, 3)
+    assert overall.multiway.all.answered == 6
+    assert [b.multiway for b in score.overlap_bins] == []
+
+
+def test_a_fragment_whose_edges_are_all_rejected_is_in_no_component(room, cut):
+    log = cut(perfect_log(room), 5, 6)
+    score = score_log(log).overall
+    assert (score.map.components, score.map.placed, score.map.placed_elsewhere) == (1, 5, 0)
+    assert score.multiway.all.answered == 10
+    assert score.map.recall_main == score.multiway.all.recall
+
+
+def test_a_graph_whose_fragments_hang_together_by_others(room):
+    """The map knows their relative pose, though the challenge would not see the link."""
     log = perfect_log(room)
-    first = {node.id for node in log.pose_graph.nodes[:4]}
+    a, b, c = (node.id for node in log.pose_graph.nodes[:3])
+    linked = {frozenset((a, b)), frozenset((b, c))}
     edges = tuple(
         edge
-        if (edge.pair.source in first) == (edge.pair.target in first)
+        if frozenset((edge.pair.source, edge.pair.target)) in linked
         else replace(edge, status=EdgeStatus.REJECTED)
         for edge in log.pose_graph.edges
     )
-    graph = replace(log.pose_graph, edges=edges)
-    score = score_log(replace(log, pose_graph=graph)).overall
-    assert (score.map.placed, score.map.components) == (4, 2)
-    assert score.multiway.all.answered == 6
+    truth = log.ground_truth[0]
+    ends = PoseGraph(
+        tuple(n for n in truth.nodes if n.id in (a, c)),
+        tuple(e for e in truth.edges if {e.pair.source, e.pair.target} == {a, c}),
+        "ends",
+    )
+    log = replace(log, pose_graph=replace(log.pose_graph, edges=edges), ground_truth=(ends,))
+    score = score_log(log).overall
+    assert score.multiway.all.recall == 100.0
+    assert (score.map.placed, score.map.recall_main) == (0, 0.0)
 
 
 def test_outliers_of_the_ground_truth(room):
@@ -223,13 +268,42 @@ def test_what_cannot_be_scored_says_so(room):
 
 def test_the_exported_map_has_the_same_official_figures(room):
     """What the log's score says of the map is what the challenge says of its submission."""
-    log = perfect_log(room)
+    log = drop_fragment(shaken(perfect_log(room)), 0)
+    official, ours = official_overall(log), score_log(log).overall
+    for subset, edges in (
+        ("All", ours.multiway.all),
+        ("Same-Stage", ours.multiway.same_stage),
+        ("Cross-Stage", ours.multiway.different_stage),
+    ):
+        assert edges.recall == pytest.approx(official[subset].recall)
+        assert edges.rte == pytest.approx(official[subset].translation_error)
+        assert edges.rre == pytest.approx(official[subset].rotation_error)
+    assert ours.map.recall_main == pytest.approx(official["All"].recall)
+    assert ours.map.official_global_rmse == pytest.approx(official["All"].global_rmse)
+    assert ours.map.official_global_rmse > ours.map.global_rmse
+
+
+def test_of_a_map_in_parts_the_challenge_sees_the_main_component(room, cut):
+    log = cut(shaken(perfect_log(room)), 4, 6)
+    official, ours = official_overall(log)["All"], score_log(log).overall
+    assert ours.map.recall_main == pytest.approx(official.recall, abs=1e-6)
+    assert ours.map.official_global_rmse == pytest.approx(official.global_rmse, abs=1e-6)
+    assert ours.map.outlier_f1 == official.outlier_f1
+    assert ours.multiway.all.recall > official.recall
+
+
+def shaken(log):
+    """The log with poses that are off by some centimetres."""
     rng = np.random.default_rng(3)
     nodes = tuple(
         replace(n, T_map_fragment=n.T_map_fragment @ exponential(rng.normal(scale=0.05, size=6)))
         for n in log.pose_graph.nodes
     )
-    log = drop_fragment(replace(log, pose_graph=replace(log.pose_graph, nodes=nodes)), 0)
+    return replace(log, pose_graph=replace(log.pose_graph, nodes=nodes))
+
+
+def official_overall(log):
+    """The challenge's score of the log's submission, at 0.2 m."""
     truth = log.ground_truth[0]
     template = template_of(truth)
     target = ChallengeGraph(
@@ -244,20 +318,9 @@ def test_the_exported_map_has_the_same_official_figures(room):
         ),
     )
     clouds = {f"{id_}.ply": fragment.points for id_, fragment in log.fragments.items()}
-    official = score_challenge(
+    return score_challenge(
         [target],
         submission(log),
         Clouds(lambda name: clouds[name].astype(np.float64)),
         max_rte=0.2,
     ).overall
-    ours = score_log(log).overall
-    for subset, edges in (
-        ("All", ours.multiway.all),
-        ("Same-Stage", ours.multiway.same_stage),
-        ("Cross-Stage", ours.multiway.different_stage),
-    ):
-        assert edges.recall == pytest.approx(official[subset].recall)
-        assert edges.rte == pytest.approx(official[subset].translation_error)
-        assert edges.rre == pytest.approx(official[subset].rotation_error)
-    assert ours.map.official_global_rmse == pytest.approx(official["All"].global_rmse)
-    assert ours.map.official_global_rmse > ours.map.global_rmse

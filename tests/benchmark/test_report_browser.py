@@ -139,6 +139,34 @@ def test_the_report_on_a_desktop(browser, page_file, tmp_path):
     page.context.close()
 
 
+def test_each_component_of_a_map_can_be_chosen(browser, make_run, cut, tmp_path):
+    log = cut(make_run(), 3, 4, 6)
+    times = np.zeros(0)
+    timing = RunTiming(times, times, (), times, times, times)
+    path = tmp_path / "parts.html"
+    path.write_text(report([measured_run(log, timing, Bootstrap(0))], 1, 4000), encoding="utf-8")
+    page, complaints, _ = opened(browser, path, viewport=DESKTOP)
+    read_through(page)
+    choice = page.locator(".model select")
+    assert choice.locator("option").all_text_contents() == [
+        "Area 1, component 1 of 3 (3 fragments)",
+        "Area 1, component 2 of 3 (2 fragments)",
+        "Area 1, component 3 of 3 (1 fragment)",
+    ]
+    # Three of stage 1, then two of stage 2.
+    assert page.locator(".model output").text_content() == "Stage 1"
+    ids = "document.querySelector('.view').data.filter(t => t.text).flatMap(t => t.text)"
+    assert page.evaluate(ids) == [f"Bldg1_Stage1_Spot{spot}" for spot in range(3)]
+    before = page.locator(".view").screenshot()
+    choice.select_option(index=1)
+    assert page.evaluate(ids) == ["Bldg1_Stage2_Spot1", "Bldg1_Stage2_Spot2"]
+    page.wait_for_timeout(300)
+    assert page.locator(".view").screenshot() != before
+    assert overflow(page) <= 0
+    assert complaints == []
+    page.context.close()
+
+
 def test_the_report_on_a_phone(browser, page_file, tmp_path):
     page, complaints, requests = opened(
         browser, page_file, viewport=PHONE, is_mobile=True, has_touch=True

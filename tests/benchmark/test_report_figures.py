@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.chart import Axis, Chart, Mark, Panel, Series, distribution
@@ -21,14 +22,20 @@ from nss_ros.benchmark.map_figures import (
     graph_chart,
     ink_picture,
     map_figure,
-    stage_colour,
     stage_figure,
 )
-from nss_ros.benchmark.map_view import chained_view, map_view, map_views, thinned
+from nss_ros.benchmark.map_model import map_model
+from nss_ros.benchmark.map_view import (
+    chained_view,
+    map_view,
+    map_views,
+    most_important,
+    thinned,
+)
 from nss_ros.benchmark.run import measured_run
 from nss_ros.benchmark.run_timing import RunTiming
 from nss_ros.benchmark.timing_chart import timing_chart
-from nss_ros.colors import STAGE_COLORS
+from nss_ros.colors import stage_color, stage_hex
 from nss_ros.fragment import voxelize
 from nss_ros.geometry import exponential, from_yaw
 from nss_ros.multiway.pose_graph import EdgeStatus, PoseGraph
@@ -262,6 +269,34 @@ def test_views_are_one_for_each_area(make_run):
     assert [view.area for view in map_views(replace(log, pose_graph=graph))] == ["1", "2"]
 
 
+def test_views_are_one_for_each_component(make_run, cut):
+    log = cut(make_run(noise=0.0), 2, 6)
+    views = map_views(log)
+    assert [(view.part, view.parts, len(view.spots)) for view in views] == [(1, 2, 4), (2, 2, 2)]
+    assert [view.title for view in views] == [
+        "Area 1, component 1 of 2 (4 fragments)", "Area 1, component 2 of 2 (2 fragments)",
+    ]  # fmt: skip
+    assert [view.key for view in views] == ["1_component1", "1_component2"]
+    # Each lies in the true frame by itself, though the map has them 50 m apart.
+    assert all((view.gaps < 1e-6).all() for view in views)
+    chart = graph_chart(log.pose_graph, views[1], {})
+    assert chart.title.endswith("area 1, component 2 of 2, in plan")
+    assert [each.name for each in chart.legend()] == ["edge accepted (1)", "stage 1 (2)"]
+
+
+def test_of_many_views_each_areas_largest_are_kept_first(make_run):
+    (view,) = map_views(make_run())
+    spots = list(view.spots.items())
+    sizes = {("1", 1): 6, ("1", 2): 5, ("1", 3): 2, ("2", 1): 3, ("2", 2): 2}
+    views = [
+        replace(view, area=area, part=part, parts=3, spots=dict(spots[:size]))
+        for (area, part), size in sizes.items()
+    ]
+    kept = most_important(views, 3)
+    assert [(each.area, each.part) for each in kept] == [("1", 1), ("1", 2), ("2", 1)]
+    assert most_important(views, 9) == views
+
+
 def test_the_graph_chart_has_stages_and_edges_that_lead_to_their_pairs(make_run):
     log = make_run()
     edges = list(log.pose_graph.edges)
@@ -293,8 +328,13 @@ def test_pictures_of_the_map_have_axes_in_metres(make_run):
         assert {"x (m)", "y (m)", "z (m)"} <= labels
 
 
-def test_stages_keep_their_colours():
-    assert stage_colour([2, 5], 5) == stage_colour([5, 2], 5) == STAGE_COLORS[1]
+def test_stages_have_the_colours_that_viewers_give_them(make_run):
+    log = make_run()
+    (view,) = map_views(log)
+    series = {each.name: each for each in graph_chart(log.pose_graph, view, {}).panels[0].series}
+    for stage, model in zip((1, 2), map_model(view, 1000)["stages"], strict=True):
+        assert model["colour"] == series[f"stage {stage} (3)"].colour == stage_hex(stage)
+        assert to_rgb(stage_hex(stage)) == pytest.approx(stage_color(stage))
 
 
 def test_inks_mix_and_hide_nothing():

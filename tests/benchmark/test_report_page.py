@@ -19,7 +19,7 @@ from nss_ros.benchmark.run import measured_run
 from nss_ros.benchmark.run_facts import facts
 from nss_ros.benchmark.run_timing import RunTiming
 from nss_ros.benchmark.worst_pairs import pair_figure, worst_pairs
-from nss_ros.multiway.pose_graph import PoseGraph
+from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
 from nss_ros.registration.relative_transform import Reason, failed
 
 NO_TIMES = RunTiming(*[np.zeros(0)] * 2, (), *[np.zeros(0)] * 3)
@@ -122,6 +122,29 @@ def test_a_ground_truth_without_edges(measured, make_run):
     page = Page(report([measured(ground_truth=(truth,))], worst=1, most_points=1000))
     assert "no edges" in page.text
     assert "r0-map" in page.ids
+
+
+def test_a_map_in_components_is_drawn_whole(make_run, cut, monkeypatch):
+    log = cut(make_run(), 4, 6)
+    graph = log.pose_graph
+    lost = replace(graph.nodes[5], status=NodeStatus.UNPLACED)
+    graph = replace(graph, nodes=(*graph.nodes[:5], lost))
+    run = measured_run(replace(log, pose_graph=graph), NO_TIMES, Bootstrap(20))
+    text = report([run], worst=1, most_points=2000)
+    page = Page(text)
+    names = [model["name"] for model in data_of(text)["maps"].values()]
+    assert names == [
+        "Area 1, component 1 of 2 (4 fragments)", "Area 1, component 2 of 2 (1 fragment)",
+    ]  # fmt: skip
+    assert f"{names[0]}: all stages" in page.text
+    assert names[1] in page.text
+    assert "components that nothing links (area 1 in 2)" in page.text
+    assert "1 of 6 fragments are in no component" in page.text
+
+    monkeypatch.setattr("nss_ros.benchmark.report.MOST_VIEWS", 1)
+    text = report([run], worst=1, most_points=2000)
+    assert len(data_of(text)["maps"]) == 1
+    assert "left out: area 1, component 2 of 2 (1 fragment)." in Page(text).text
 
 
 def test_several_logs_stand_side_by_side(measured):

@@ -4,7 +4,7 @@ import pytest
 
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
-from nss_ros.benchmark.published import published
+from nss_ros.benchmark.published import PublishedTraining, published
 from nss_ros.benchmark.score import score_log
 from nss_ros.benchmark.table import (
     log_tables,
@@ -72,8 +72,51 @@ def test_the_training_table_puts_same_stage_training_beside_the_other(make_score
     ]
     table = training_table(scores)
     assert column(table, "trained on") == ["all", "same stage"]
+    assert column(table, "method") == ["test", "test"]
+    assert column(table, "RTE, same")[1] == scores[0].overall.pairwise.same_stage.rte
     assert "training" in run_tables(scores)
     assert "training" not in run_tables(scores[2:] * 2)
+    assert "training" not in log_tables(scores[2])
+    (row,) = log_tables(scores[0])["training"].rows
+    assert row[:3] == ("cross_area", "test", "same stage")
+    # A run of the same split and method that tells nothing is shown, too.
+    silent = training_table([scores[0], make_score("d", "cross_area")])
+    assert column(silent, "trained on") == ["not told", "same stage"]
+
+
+def test_the_training_table_says_that_the_papers_figures_are_not_at_hand(make_score, monkeypatch):
+    scores = [make_score("a", "cross_area", "same_stage")]
+    assert "not at hand" in training_table(scores).caption
+    values = {"split": "cross_area", "method": "X", "same_stage": 70, "different_stage": 3}
+    entry = PublishedTraining.model_validate(values | {"training": "same_stage"})
+    with_entry = published().model_copy(update={"training": (entry,)})
+    monkeypatch.setattr("nss_ros.benchmark.table.published", lambda: with_entry)
+    table = training_table(scores)
+    assert column(table, "method") == ["test", "X *"]
+    assert column(table, "recall, different")[1] == 3
+    assert "on other data" in table.caption
+
+
+def test_training_tells_runs_of_one_method_apart(make_score):
+    scores = [make_score("a", "x", "same_stage"), make_score("b", "x", "all")]
+    names = ["test, trained on same stage", "test, trained on all"]
+    assert run_names(scores) == names
+    assert column(pairwise_table(scores), "method")[-2:] == names
+
+
+def test_a_map_in_parts_is_told_everywhere(make_run, cut):
+    score = score_log(cut(make_run(), 4, 6), NONE)
+    (sentence,) = notes(score)
+    assert "2 components" in sentence
+    assert "main component: 4 of 6 fragments; in the others: 2; in none: 0" in sentence
+    assert "(46.7 %; in the main component alone 40.0 %)" in sentence
+    tables = log_tables(score)
+    assert column(tables["map"], "in main component") == [4]
+    assert column(tables["map"], "in others") == [2]
+    assert column(tables["multiway"], "recall 0.2 m")[0] == pytest.approx(100 * 7 / 15)
+    table = multiway_table([score])
+    assert column(table, "components") == [None, 2]
+    assert column(table, "recall, main") == [None, pytest.approx(40)]
 
 
 def test_runs_are_named_by_method_as_long_as_that_tells_them_apart(make_score):

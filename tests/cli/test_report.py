@@ -7,8 +7,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from nss_ros.bag import write_bag
-from nss_ros.benchmark.run_timing import read_timing
+from nss_ros.bag import read_log, write_bag
+from nss_ros.bag_reader import BagReader
+from nss_ros.benchmark.run_timing import timing_of
 from nss_ros.cli.report import report
 from nss_ros.errors import BagError, InputError
 
@@ -47,6 +48,20 @@ def test_a_report_and_its_figures(room_bag, record, tmp_path):
     assert json.loads(data)["maps"]
 
 
+def test_a_log_is_read_once(room_bag, record, tmp_path, monkeypatch):
+    log = record(room_bag)
+    read = []
+    messages = BagReader.messages
+
+    def counted(self, types=None):
+        read.append(self.path)
+        return messages(self, types)
+
+    monkeypatch.setattr(BagReader, "messages", counted)
+    run(log, "-o", tmp_path / "r.html", *FAST)
+    assert read == [log]
+
+
 def test_a_bag_that_was_never_mapped_gives_a_report_that_says_so(room_bag, tmp_path):
     output = tmp_path / "r.html"
     run(room_bag, "-o", output, *FAST)
@@ -70,7 +85,7 @@ def test_what_cannot_be_written_or_read_says_so_and_keeps_what_was_there(
 
 
 def test_times_of_a_log(room_bag, record):
-    times = read_timing(record(room_bag, unanswered=2))
+    times = timing_of(read_log(record(room_bag, unanswered=2)))
     assert len(times.fragments) == 6
     assert len(times.requests) == 15
     assert len(times.pairs) == len(times.answers) == 13

@@ -30,7 +30,7 @@ def read(path):
     from rerun.chunk import RrdReader
 
     reader = RrdReader(str(path))
-    assert len(reader.blueprints()) == 1
+    assert reader.blueprints()
     content = {}
     for chunk in reader.stream():
         batch = chunk.to_record_batch()
@@ -118,6 +118,41 @@ def test_what_changes_is_drawn_again(room, tmp_path):
     assert any("Clear" in name for name in content[f"/fragments/stage_2/{gone}"])
     assert column(content, "/answers/seconds", "answer") == [0, 1, 2]
     assert column(content, "/answers/rmse", "answer") == [0, 2]
+
+
+def test_components_that_nothing_links_have_a_view_each(room, tmp_path):
+    """Two components, then the third fragment goes over to the other; then all are one."""
+    graph = room.ground_truth
+    fragments = {fragment.id: fragment for fragment in room.fragments}
+
+    def split(at):
+        nodes = [replace(n, component=int(i >= at)) for i, n in enumerate(graph.nodes)]
+        of = {node.id: node.component for node in nodes}
+        edges = [e for e in graph.edges if of[e.pair.source] == of[e.pair.target]]
+        return replace(graph, nodes=tuple(nodes), edges=tuple(edges))
+
+    file = tmp_path / "run.rrd"
+    with recording("test", file) as stream:
+        scene = Scene(stream, changing=True)
+        for at in (4, 3, 6):
+            scene.draw_graph(split(at), {})
+            scene.draw_map(split(at), fragments)
+    content = read(file)
+    main = column(content, "/graph/accepted", "strips")
+    other = column(content, "/component_2/graph/accepted", "strips")
+    assert [len(strips) for strips in main] == [6, 3, 15]
+    assert [len(strips) for strips in other] == [1, 3]
+    assert [
+        len(labels) for labels in column(content, "/component_2/graph/stage_2", "Points3D:labels")
+    ] == [2, 3]
+    clouds = column(content, "/component_2/map/stage_2", "positions")
+    assert [len(cloud) > 0 for cloud in clouds] == [True, True, False]
+    moved = graph.nodes[3].id
+    path = f"/fragments/stage_2/{moved}"
+    assert any("Clear" in name for name in content[path])
+    assert any("Clear" in name for name in content[f"/component_2{path}"])
+    assert any("Clear" in name for name in content["/component_2/graph"])
+    assert "/component_2/fragments/stage_1" not in {each.rsplit("/", 1)[0] for each in content}
 
 
 def test_bad_inputs_are_named(log, tmp_path, monkeypatch):

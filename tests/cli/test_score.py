@@ -124,7 +124,7 @@ def test_several_logs_stand_side_by_side(room_bag, record, tmp_path):
 def test_formats(room_bag, record):
     log = record(room_bag)
     rows = list(csv.DictReader(io.StringIO(run(log, "--format", "csv", "--table", "map"))))
-    assert [(row["graph"], row["placed"]) for row in rows] == [("room", "6")]
+    assert [(row["graph"], row["in main component"]) for row in rows] == [("room", "6")]
     assert run(log, "--format", "csv", "--table", "map", "--table", "multiway").startswith(
         "# Map\n"
     )

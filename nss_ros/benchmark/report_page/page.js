@@ -85,25 +85,24 @@
   };
 
   for (const element of document.querySelectorAll(".model")) {
-    const model = data.maps[element.dataset.map];
+    const models = element.dataset.maps.split(" ").map((name) => data.maps[name]);
     const view = element.querySelector(".view");
+    const choice = element.querySelector("select");
     const range = element.querySelector("input[type=range]");
     const label = element.querySelector("output");
     const ceiling = element.querySelector(".ceiling");
     const marks = element.querySelector(".spots");
-    const stages = model.stages;
+    let model = models[0];
     let drawn = false;
-    // One stage at a time, and all of them at the end.
-    range.max = stages.length === 1 ? 0 : stages.length;
-    range.value = range.max;
+    for (const each of models) choice.add(new Option(each.name));
 
-    const visible = () => stages.flatMap((_, i) => {
-      const on = Number(range.value) === stages.length || Number(range.value) === i;
+    const visible = () => model.stages.flatMap((_, i) => {
+      const on = Number(range.value) === model.stages.length || Number(range.value) === i;
       return [on, on && ceiling.checked, on && marks.checked];
     });
     const update = () => {
-      const stage = stages[Number(range.value)];
-      label.textContent = stage ? `Stage ${stage.stage}` : `All ${stages.length} stages`;
+      const stage = model.stages[Number(range.value)];
+      label.textContent = stage ? `Stage ${stage.stage}` : `All ${model.stages.length} stages`;
       range.setAttribute("aria-valuetext", label.textContent);
       if (stage) {
         const chip = document.createElement("i");
@@ -113,16 +112,10 @@
       if (drawn) Plotly.restyle(view, {visible: visible()});
     };
     for (const control of [range, ceiling, marks]) control.addEventListener("input", update);
-    update();
 
-    later(view, () => {
-      if (!hasWebGl()) {
-        view.textContent = "This browser shows no 3-D graphics; the pictures below show the map.";
-        view.classList.add("missing");
-        return;
-      }
+    const draw = () => {
       const shown = visible();
-      const traces = stages.flatMap((stage) => [
+      const traces = model.stages.flatMap((stage) => [
         cloud(stage.below, model, stage.colour), cloud(stage.above, model, stage.colour), spots(stage),
       ]);
       traces.forEach((trace, i) => { trace.visible = shown[i]; });
@@ -131,8 +124,9 @@
       const [w, d, h] = model.extent;
       const far = Math.max(1, 1.3 * view.clientHeight / view.clientWidth);
       const range3d = (i) => [model.origin[i], model.origin[i] + model.extent[i]];
-      Plotly.newPlot(view, traces, {
-        showlegend: false, margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: "kept",
+      // Another map is seen from the start, not from where the last one was left.
+      Plotly.react(view, traces, {
+        showlegend: false, margin: {l: 0, r: 0, t: 0, b: 0}, uirevision: model.name,
         scene: {
           aspectmode: "data", dragmode: "turntable",
           xaxis: {...axis("x (m)"), range: range3d(0)}, yaxis: {...axis("y (m)"), range: range3d(1)},
@@ -141,6 +135,27 @@
         },
       }, {...config, scrollZoom: true});
       drawn = true;
+    };
+    const choose = () => {
+      model = models[choice.selectedIndex];
+      // One stage at a time, and all of them at the end.
+      range.max = model.stages.length === 1 ? 0 : model.stages.length;
+      range.value = range.max;
+      const redraw = drawn;
+      drawn = false;
+      update();
+      if (redraw) draw();
+    };
+    choice.addEventListener("input", choose);
+    choose();
+
+    later(view, () => {
+      if (hasWebGl()) {
+        draw();
+        return;
+      }
+      view.textContent = "This browser shows no 3-D graphics; the pictures below show the map.";
+      view.classList.add("missing");
     });
   }
 
