@@ -9,7 +9,7 @@ of all that they saw, so pairs count that nobody asked for, and free space that 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,13 +96,6 @@ class Submap:
         moved = Surface.sample(cloud, directions, _MOVED_POINTS)
         views = {id_: fragments[id_].view for id_ in poses}
         return cls(poses, canvas, Surface.of(cloud, directions), moved, floor, views)
-
-    def without(self, id_: FragmentId, fragments: Fragments) -> Submap:
-        """This submap without a fragment, whose points are left in the surface."""
-        pose = self.poses[id_]
-        own = _on_floor({id_: pose}, fragments, self.floor)[id_]
-        poses = {each: pose for each, pose in self.poses.items() if each != id_}
-        return replace(self, poses=poses, canvas=self.canvas.without(id_, pose, own))
 
 
 def _on_floor(poses: Poses, fragments: Fragments, floor: float) -> dict[FragmentId, SubmapFragment]:

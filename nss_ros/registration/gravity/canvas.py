@@ -119,13 +119,6 @@ class Canvas:
         low, high = places.min(axis=0), places.max(axis=0)
         return cls._with((low + high) / 2, {}, poses, fragments, float((high - low).max()) / 2)
 
-    def without(self, id_: FragmentId, pose: Transform, fragment: Mapped) -> Canvas:
-        """This canvas before a fragment was added, on the same grid."""
-        with torch.inference_mode():
-            layers = {stage: each.padded(0) for stage, each in self.layers.items()}
-            _add(layers[id_.stage], fragment, pose, self.centre, -1.0)
-            return self._made(self.centre, layers)
-
     def extended(self, poses: Poses, fragments: Mapping[FragmentId, Mapped]) -> Canvas:
         """This canvas with further fragments in the same frame."""
         places = np.array([pose[:2, 3] for pose in poses.values()])
@@ -149,23 +142,13 @@ class Canvas:
             for id_, pose in poses.items():
                 layer = new.setdefault(id_.stage, Layer.blank(size))
                 _add(layer, fragments[id_], pose, centre)
-            return cls._made(centre, new)
-
-    @classmethod
-    def _made(cls, centre: NDArray[np.float64], layers: Mapping[int, Layer]) -> Canvas:
-        across = torch.stack([each.across for each in layers.values()]).sum(dim=0)
-        seen = torch.stack([each.seen for each in layers.values()]).sum(dim=0)
-        return cls(centre, layers, across / seen.clamp(min=_LEAST_SEEN))
+            across = torch.stack([each.across for each in new.values()]).sum(dim=0)
+            seen = torch.stack([each.seen for each in new.values()]).sum(dim=0)
+            return cls(centre, new, across / seen.clamp(min=_LEAST_SEEN))
 
 
-def _add(
-    layer: Layer,
-    fragment: Mapped,
-    pose: Transform,
-    centre: NDArray[np.float64],
-    sign: float = 1.0,
-) -> None:
-    """Add the features of a fragment to a layer, or take them away, in place."""
+def _add(layer: Layer, fragment: Mapped, pose: Transform, centre: NDArray[np.float64]) -> None:
+    """Add the features of a fragment to a layer, in place."""
     size = layer.seen.shape[-1]
     cell = (pose[:2, 3] - centre) / STEP + size / 2
     start = np.round(cell - _WINDOW / 2).astype(int).clip(0, size - _WINDOW)
@@ -175,9 +158,9 @@ def _add(
     columns, rows = (slice(int(first), int(first) + _WINDOW) for first in start)
     for sums, features in zip((layer.across, layer.within), fragment.maps, strict=True):
         weighted = torch.from_numpy(features.astype(np.float32)) * weight
-        sums[:, rows, columns] += sign * rotated(weighted, yaw, shift, _WINDOW)[0]
+        sums[:, rows, columns] += rotated(weighted, yaw, shift, _WINDOW)[0]
     everywhere = weight.expand(CHANNELS, *weight.shape)
-    layer.seen[rows, columns] += sign * rotated(everywhere, yaw, shift, _WINDOW)[0, 0]
+    layer.seen[rows, columns] += rotated(everywhere, yaw, shift, _WINDOW)[0, 0]
 
 
 def canvas_score(source: Canvas, target: Canvas, T_target_source: Transform) -> float:
