@@ -19,6 +19,7 @@ from nss_ros.cli.import_ import import_folder
 from nss_ros.cli.map import map_
 from nss_ros.cli.pairs import pairs
 from nss_ros.cli.picture import picture
+from nss_ros.cli.propose import propose
 from nss_ros.cli.refine import refine
 from nss_ros.cli.report import report
 from nss_ros.cli.score import score
@@ -46,6 +47,7 @@ app.command("compare")(compare_logs)
 app.command("view")(view)
 app.command("import")(import_folder)
 app.command("export")(export)
+app.command("propose")(propose)
 app.command("simulate")(simulate)
 app.command("pairs")(pairs)
 app.command("graphs")(graphs)

@@ -19,7 +19,8 @@ from torch import Tensor
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, from_yaw, inverse
-from nss_ros.registration.gravity.correlation import STEP, correlate, rotated, spectrum
+from nss_ros.registration.gravity.coarse import COARSE_YAWS, POOL, coarse_scores, pooled
+from nss_ros.registration.gravity.correlation import STEP, rotated
 from nss_ros.registration.gravity.network import CHANNELS, STRIDE, VECTORS, as_target
 from nss_ros.registration.gravity.raster import SIZE
 from nss_ros.registration.gravity.search import best_places
@@ -31,11 +32,6 @@ _REACH = _WINDOW * STEP / 2
 _UNSEEN = 0.05
 # At the rims of the fragments nothing is made larger than it was.
 _LEAST_SEEN = 0.05
-# The search is on cells twice as large: ten times faster, and among its best twenty poses is the
-# right one as often.
-_POOL = 2
-_SEARCH_YAWS = 60
-_BATCH = 12
 # Poses that score less than the best one by this, on the cells of the search, are not told.
 _MOST_MARGIN = 10.0
 
@@ -222,26 +218,19 @@ def canvas_search(source: Canvas, target: Canvas, count: int) -> list[Transform]
         count: most poses; fewer where the others are far less probable.
     """
     with torch.inference_mode():
-        moving, still = (_pooled(each) for each in _searched(source, target))
-        size = _fast_size(moving.shape[-1] + still.shape[-1])
-        spectra = spectrum(as_target(still), size)
-        yaws = torch.arange(_SEARCH_YAWS) * (2 * math.pi / _SEARCH_YAWS)
-        scores = torch.cat(
-            [
-                correlate(spectrum(rotated(moving, part), size), spectra, size)
-                for part in torch.split(yaws, _BATCH)
-            ]
-        )
+        moving, still = (pooled(each) for each in _searched(source, target))
+        scores = coarse_scores(moving, still)
+    size = scores.shape[-1]
     offset = (still.shape[-1] - moving.shape[-1]) / 2
     places = best_places(scores, count)
     transforms = []
     for place in places:
         if place.score < places[0].score - _MOST_MARGIN:
             break
-        yaw, cells = place.cells[0] * 2 * math.pi / _SEARCH_YAWS, place.cells[:0:-1]
+        yaw, cells = place.cells[0] * 2 * math.pi / COARSE_YAWS, place.cells[:0:-1]
         shift = np.where(cells < size / 2, cells, cells - size) - offset
         transform = from_yaw(yaw, (0.0, 0.0, 0.0))
-        middle = target.centre + shift * STEP * _POOL
+        middle = target.centre + shift * STEP * POOL
         transform[:2, 3] = middle - transform[:2, :2] @ source.centre
         transforms.append(transform)
     return transforms
@@ -256,21 +245,3 @@ def _searched(source: Canvas, target: Canvas) -> tuple[Tensor, Tensor]:
     return one.within / one.seen.clamp(min=_LEAST_SEEN), other.within / other.seen.clamp(
         min=_LEAST_SEEN
     )
-
-
-def _pooled(features: Tensor) -> Tensor:
-    """On cells twice as large; a sum of products of these is about that of the smaller cells."""
-    return torch.nn.functional.avg_pool2d(features, _POOL) * _POOL
-
-
-def _fast_size(least: int) -> int:
-    """The next number that has no prime factors but 2, 3 and 5."""
-    size = least + least % 2
-    while True:
-        rest = size
-        for factor in (2, 3, 5):
-            while rest % factor == 0:
-                rest //= factor
-        if rest == 1:
-            return size
-        size += 2

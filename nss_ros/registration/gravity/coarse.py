@@ -1,0 +1,63 @@
+"""Scores of all poses on cells twice as large: ten times faster than those of a search.
+
+Among the best twenty poses the right one is as often as among those of the fine cells.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from nss_ros.registration.gravity.correlation import correlate, rotated, spectrum
+from nss_ros.registration.gravity.network import as_target
+
+#: Cells of features along each side that become one.
+POOL = 2
+#: Yaw angles of a full turn.
+COARSE_YAWS = 60
+_BATCH = 12
+
+
+def pooled(features: Tensor) -> Tensor:
+    """Features (..., h, w) on cells twice as large.
+
+    The sum over the four products of small cells is about that of the means, times four.
+    """
+    return torch.nn.functional.avg_pool2d(features, POOL) * POOL
+
+
+def coarse_scores(moving: Tensor, still: Tensor) -> Tensor:
+    """Scores (COARSE_YAWS, n, n) of the poses of one square grid of features on another.
+
+    Rows and columns are shifts of the grids' first cells against each other, modulo n.
+
+    Args:
+        moving: (c, k, k) pooled, as a source.
+        still: (c, m, m) pooled, as a source too.
+    """
+    size = _fast_size(moving.shape[-1] + still.shape[-1])
+    spectra = spectrum(as_target(still), size)
+    yaws = torch.arange(COARSE_YAWS) * (2 * math.pi / COARSE_YAWS)
+    return torch.cat(
+        [
+            correlate(spectrum(rotated(moving, part), size), spectra, size)
+            for part in torch.split(yaws, _BATCH)
+        ]
+    )
+
+
+def _fast_size(least: int) -> int:
+    """The next even number that has no prime factors but 2, 3 and 5."""
+    size = least + least % 2
+    while not _is_fast(size):
+        size += 2
+    return size
+
+
+def _is_fast(size: int) -> bool:
+    for factor in (2, 3, 5):
+        while size % factor == 0:
+            size //= factor
+    return size == 1
