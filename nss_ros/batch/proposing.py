@@ -29,7 +29,7 @@ class Proposal:
 
     Attributes:
         pairs: all of the new bag, in canonical order.
-        given: how many of them the old bag asked for.
+        given: how many of them the old bag asked for and were kept.
         possible: pairs of fragments of one area.
         unfit: fragments that cannot be looked at: not levelled, too few points, far reach.
     """
@@ -46,18 +46,19 @@ def propose(
     within: int,
     across: int,
     config: RegistrationConfig,
+    anew: bool = False,
     workers: int = 0,
     report: Callable[[str, int, int], None] = lambda *_: None,
 ) -> Proposal:
-    """Write a copy of a bag that also asks for the pairs that look most like overlapping.
+    """Write a copy of a bag that asks for the pairs that look most like overlapping.
 
     Args:
-        bag: with fragments; the pairs that it asks for stay. Its ground truth is copied and not
-            looked at.
+        bag: with fragments. Its ground truth is copied and not looked at.
         output: folder of the new bag.
         within: pairs of each fragment with others of its stage.
         across: pairs of each fragment with others of other stages.
         config: of the method `gravity`.
+        anew: the pairs that the bag asks for are forgotten; else they stay.
         workers: processes; 0: one per core.
         report: called with what is done, how many are done, and how many there are.
 
@@ -78,11 +79,12 @@ def propose(
         )
     evidence = _evidence(sketches, workers, report)
     found = proposed_pairs(evidence, within, across)
-    given = {frozenset((pair.source, pair.target)) for pair in log.pairs}
+    kept = () if anew else log.pairs
+    given = {frozenset((pair.source, pair.target)) for pair in kept}
     new = [pair for pair in found if frozenset((pair.source, pair.target)) not in given]
-    pairs = (*log.pairs, *new)
+    pairs = (*kept, *new)
     write_bag(output, log.fragments.values(), pairs, log.ground_truth, log.metadata)
-    return Proposal(tuple(sorted(pairs)), len(log.pairs), len(evidence), unfit)
+    return Proposal(tuple(sorted(pairs)), len(kept), len(evidence), unfit)
 
 
 def _sketches(

@@ -25,6 +25,9 @@ def propose(
     across: Annotated[
         int, typer.Option(min=0, help="Pairs of each fragment with others of other stages.")
     ] = 6,
+    anew: Annotated[
+        bool, typer.Option("--anew", help="Forget the pairs that the bag asks for.")
+    ] = False,
     workers: WorkersOption = 0,
     config: ConfigOption = None,
     set_: SetOption = [],  # noqa: B006 - typer reads defaults, nobody changes them
@@ -32,7 +35,8 @@ def propose(
 ) -> None:
     """Copy a bag and ask for the pairs that look most like overlapping.
 
-    For fragments without pairs, such as those of the challenge's test graphs. All pairs of an
+    For fragments whose pairs nobody chose, such as those of the challenge's test graphs, of which
+    'nss import' asks for all pairs: give --anew for these. All pairs of an
     area are looked at, coarsely; some for each fragment are proposed. Fragments that are not
     levelled get none. Ground truth is copied and not looked at.
     """
@@ -47,7 +51,7 @@ def propose(
                 tasks[what] = progress.add_task(what, total=total)
             progress.update(tasks[what], completed=done)
 
-        made = propose_pairs(bag, output, within, across, registration, workers, report)
+        made = propose_pairs(bag, output, within, across, registration, anew, workers, report)
     if json:
         print_json(
             {
