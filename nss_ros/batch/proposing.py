@@ -9,7 +9,7 @@ from pathlib import Path
 
 from nss_ros.bag import read_log, with_source_points, write_bag
 from nss_ros.config import RegistrationConfig
-from nss_ros.errors import InputError
+from nss_ros.errors import BagError, InputError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.parallel import run
 from nss_ros.registration.gravity.proposals import (
@@ -66,6 +66,8 @@ def propose(
         BagError: the bag cannot be read, or the output exists or cannot be written.
         InputError: the bag holds no fragments, or none that can be looked at.
     """
+    if output.exists():
+        raise BagError(f"{output} exists already: choose another name or remove it.")
     log = with_source_points(read_log(bag))
     if not log.fragments:
         raise InputError(f"{bag} holds no fragments, so there are no pairs to propose.")

@@ -1,0 +1,106 @@
+"""Which pairs are worth registering, on a part of the bundled bag."""
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nss_ros.bag import read_log
+from nss_ros.config import RegistrationConfig
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair
+from nss_ros.geometry import from_yaw, transform_points
+from nss_ros.registration.gravity.proposals import (
+    block_evidence,
+    overlap_evidence,
+    proposed_pairs,
+    sketch,
+)
+
+CONFIG = RegistrationConfig()
+BAG = Path(__file__).parents[2] / "bags" / "three_stages"
+
+
+@pytest.fixture(scope="module")
+def fragments():
+    return [each for each in read_log(BAG).fragments.values() if each.id.spot <= 4][:6]
+
+
+@pytest.fixture(scope="module")
+def sketches(fragments):
+    return [sketch(each, CONFIG) for each in fragments]
+
+
+def turned(fragment, spot=50):
+    """The same scan from the same place, by a tripod that looked elsewhere."""
+    points = transform_points(from_yaw(1.1, (0, 0, 0)), fragment.points).astype(np.float32)
+    id_ = FragmentId(fragment.id.area, fragment.id.stage, spot)
+    return Fragment(id_, points, True)
+
+
+def test_the_same_place_has_more_evidence_than_any_other(fragments, sketches):
+    for fragment, own in zip(fragments, sketches, strict=True):
+        again = sketch(turned(fragment), CONFIG)
+        others = [
+            overlap_evidence(each, again)
+            for each in sketches
+            if each.id.stage == own.id.stage and each is not own
+        ]
+        assert overlap_evidence(own, again) > max(others)
+
+
+def test_the_evidence_of_a_block_is_that_of_its_pairs_of_one_area(sketches):
+    elsewhere = sketches[0].__class__(FragmentId("other", 1, 1), sketches[0].maps)
+    every = sorted([*sketches, elsewhere], key=lambda each: each.id)
+    found = block_evidence((every, every))
+    assert set(found) == {
+        FragmentPair(a.id, b.id) for a, b in combinations(every, 2) if a.id.area == b.id.area
+    }
+    pair = next(iter(found))
+    by_id = {each.id: each for each in every}
+    assert found[pair] == overlap_evidence(by_id[pair.source], by_id[pair.target])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda f: Fragment(f.id, f.points, False),
+        lambda f: Fragment(f.id, f.points[:20], True),
+        lambda f: Fragment(f.id, f.points[:0], True),
+        lambda f: Fragment(f.id, f.points * np.float32(4), True),
+    ],
+    ids=["not levelled", "few points", "no points", "far reach"],
+)
+def test_what_cannot_be_looked_at_has_no_sketch(fragments, change):
+    assert sketch(change(fragments[0]), CONFIG) is None
+
+
+IDS = [FragmentId("1", stage, spot) for stage in (1, 2) for spot in range(6)]
+PAIRS = [FragmentPair(a, b) for a, b in combinations(IDS, 2)]
+
+
+@given(
+    st.lists(st.floats(-50, 50), min_size=len(PAIRS), max_size=len(PAIRS)),
+    st.integers(0, 3),
+    st.integers(0, 3),
+)
+def test_each_fragment_gets_its_best_pairs_and_the_number_grows_with_the_fragments(
+    values, within, across
+):
+    evidence = dict(zip(PAIRS, values, strict=True))
+    chosen = proposed_pairs(evidence, within, across)
+    assert chosen == sorted(set(chosen))
+    assert len(chosen) <= len(IDS) * (within + across)
+    for id_ in IDS:
+        for same, most in ((True, within), (False, across)):
+            own = [p for p in PAIRS if id_ in (p.source, p.target) and p.same_stage == same]
+            best = sorted(own, key=lambda p: (-evidence[p], p))[:most]
+            assert set(best) <= set(chosen)
+
+
+def test_the_order_of_the_evidence_does_not_matter():
+    evidence = {pair: float(number % 7) for number, pair in enumerate(PAIRS)}
+    backward = dict(reversed(evidence.items()))
+    assert proposed_pairs(evidence, 2, 1) == proposed_pairs(backward, 2, 1)
