@@ -17,7 +17,7 @@ from nss_ros.benchmark.metrics import MAX_RTE, Floats
 from nss_ros.colors import stage_hex
 from nss_ros.dataset.figures import STYLE
 from nss_ros.fragment import FragmentPair, Points
-from nss_ros.multiway.pose_graph import EdgeStatus, PoseGraph
+from nss_ros.multiway.pose_graph import Edge, EdgeKind, EdgeStatus, PoseGraph
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -188,7 +188,7 @@ def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, st
                 middle[:, 1],
                 colour,
                 Mark.POINTS,
-                tuple(_edge_text(edge.pair, name, edge.reason) for edge in edges),
+                tuple(_edge_text(edge.pair, name, _why(edge)) for edge in edges),
                 tuple(links.get(edge.pair, "") for edge in edges),
                 size=3,
                 alpha=alpha,
@@ -202,6 +202,10 @@ def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, st
         "Where each fragment was taken from, and which relative transforms the map kept. Failed "
         "registrations are not drawn.",
     )
+
+
+def _why(edge: Edge) -> str:
+    return "found by submaps" if edge.kind is EdgeKind.SUBMAP else edge.reason
 
 
 def _spots(view: MapView, stage: int) -> Series:

@@ -12,7 +12,7 @@ from nss_ros.bag import Log
 from nss_ros.benchmark.evaluation import Evaluation
 from nss_ros.benchmark.metrics import successes
 from nss_ros.fragment import FragmentPair
-from nss_ros.multiway.pose_graph import Edge, EdgeStatus
+from nss_ros.multiway.pose_graph import Edge, EdgeKind, EdgeStatus
 from nss_ros.registration.relative_transform import RelativeTransform
 
 NAN = float("nan")
@@ -94,7 +94,9 @@ def pair_records(log: Log, evaluation: Evaluation | None) -> list[PairRecord]:
         evaluation: of the same log; None without ground truth.
     """
     records: dict[FragmentPair, PairRecord] = {}
-    placed = {edge.pair: edge for edge in log.pose_graph.edges} if log.pose_graph else {}
+    edges = log.pose_graph.edges if log.pose_graph else ()
+    # What became of the answer to a pair; submaps may have given it another transform.
+    placed = {edge.pair: edge for edge in edges if edge.kind is not EdgeKind.SUBMAP}
     if evaluation is not None:
         for i, pair in enumerate(evaluation.edges.pairs):
             if pair not in records:
