@@ -9,6 +9,7 @@ from nss_ros.config import RegistrationConfig
 from nss_ros.errors import MethodError
 from nss_ros.fragment import Fragment, FragmentId
 from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
+from nss_ros.registration.gravity.method import hypothesis_spread
 from nss_ros.registration.gravity.weights import load_weights
 from nss_ros.registration.method import load_method
 from nss_ros.registration.relative_transform import Reason
@@ -58,6 +59,22 @@ def test_the_answer_is_the_same_bytes_and_survives_pickling(method, scans):
     again = method.register(*pickle.loads(pickle.dumps(features)), 1)
     assert first.T_target_source.tobytes() == again.T_target_source.tobytes()
     assert first.confidence == again.confidence
+
+
+def test_hypotheses_that_slide_make_the_covariance_long_along_the_corridor():
+    best = from_yaw(0.3, (4.0, 1.0, 0.0))
+    slides = [from_yaw(0.0, (step, 0.0, 0.0)) @ best for step in (0.4, -0.4)]
+    elsewhere = from_yaw(2.0, (9.0, 3.0, 0.0))
+    probabilities = np.array([0.4, 0.2, 0.2, 0.2])
+    spread = hypothesis_spread([best, *slides, elsewhere], probabilities, 0)
+    expected = np.zeros((6, 6))
+    expected[0, 0] = 0.4**2 / 2
+    assert np.allclose(spread, expected)
+
+
+def test_one_hypothesis_has_no_spread():
+    spread = hypothesis_spread([from_yaw(1.0, (2, 3, 0))], np.array([0.9]), 0)
+    assert np.allclose(spread, 0)
 
 
 def plane(normal):

@@ -18,7 +18,14 @@ from torch import Tensor
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.geometry import Transform, relative, rotation_angle
+from nss_ros.geometry import (
+    Matrix,
+    Transform,
+    inverse,
+    logarithm,
+    relative,
+    rotation_angle,
+)
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
 from nss_ros.registration.gravity.correlation import score_parts
@@ -39,6 +46,8 @@ from nss_ros.registration.relative_transform import (
 # Alignments closer than this are one hypothesis.
 _SAME_TRANSLATION, _SAME_ROTATION = 0.1, np.radians(3)
 _LEAST_PROBABILITY = 0.01
+# Hypotheses within this of the best one are taken for the same place, uncertainly known.
+_SPREAD_TRANSLATION, _SPREAD_ROTATION = 1.0, np.radians(6)
 # Poses this much less likely than the best one, by the logarithm, are hardly ever right.
 _MOST_MARGIN = 7.0
 
@@ -164,11 +173,13 @@ class Gravity:
             for number in order[1:]
             if judgement.probabilities[number] > _LEAST_PROBABILITY
         )
+        transforms = [each.refined.T_target_source for each in candidates]
+        spread = hypothesis_spread(transforms, judgement.probabilities, int(order[0]))
         return RelativeTransform(
             pair,
             self.name,
             T_target_source=best.refined.T_target_source,
-            covariance=best.refined.covariance,
+            covariance=best.refined.covariance + spread,
             overlap_probability=judgement.overlap,
             confidence=float(judgement.probabilities[order[0]]),
             inliers=best.support.inliers,
@@ -185,6 +196,35 @@ def feature_maps(network: GravityNetwork, raster: Raster) -> NDArray[np.float32]
         shared = network(maps)
         both = [network.features(maps, shared, bool(kind))[0] for kind in range(2)]
         return np.asarray(torch.stack(both).numpy())
+
+
+def hypothesis_spread(
+    transforms: Sequence[Transform], probabilities: NDArray[np.float64], best: int
+) -> Matrix:
+    """Covariance (6, 6) by the hypotheses beside the best one, order x y z rx ry rz.
+
+    Along a corridor, poses that slide look about as good as the best one, and the Hessian of its
+    alignment does not know of them. Hypotheses far away are other places, not an uncertainty.
+
+    Args:
+        transforms: each `T_target_source`.
+        probabilities: of them.
+        best: number of the one that the covariance is of.
+    """
+    back = inverse(transforms[best])
+    twists = [logarithm(transform @ back) for transform in transforms]
+    moves = [relative(transform, transforms[best]) for transform in transforms]
+    near = np.array(
+        [
+            np.linalg.norm(move[:3, 3]) < _SPREAD_TRANSLATION
+            and rotation_angle(move) < _SPREAD_ROTATION
+            for move in moves
+        ]
+    )
+    weights = np.where(near, probabilities, 0.0)
+    weights = weights / max(float(weights.sum()), 1e-12)
+    stack = np.array(twists)
+    return np.asarray(np.einsum("k,ki,kj->ij", weights, stack, stack))
 
 
 def _planar(alignments: Sequence[Alignment]) -> tuple[Tensor, Tensor]:
