@@ -43,6 +43,11 @@ _ICP_DISTANCE, _ICP_ITERATIONS, _KERNEL, _DAMPING = 0.15, 8, 0.05, 0.005
 _MOST_TRANSLATION, _MOST_ROTATION = 0.6, np.radians(6)
 # Pairs share what they saw with the canvases, so what they say counts half.
 _PAIRS_WEIGHT = 0.5
+# Where a building repeats, many pairs are wrong alike: for large submaps, which have many pairs,
+# what these say together has a limit.
+_LARGE, _MOST_BY_PAIRS = 3, 8.0
+# Score of having nothing in common: many poses are tried, and the best of them scores something.
+_NOTHING = 10.0
 # Within a stage nothing moves: points in what others saw to be empty, more than some by the noise
 # of the sensor, speak against a pose. Of each pose the nearest pairs of fragments are looked at.
 _CONFLICT_WEIGHT, _NO_CONFLICT = 60.0, 0.02
@@ -160,7 +165,7 @@ def register_submaps(
     ]
     ranked = sorted((*aligned, *scored[len(aligned) :]), key=lambda each: -each[0])
     apart = _apart(ranked, close)
-    rivals = [0.0, *(score for score, _ in apart[1:])]
+    rivals = [_NOTHING, *(score for score, _ in apart[1:])]
     score, transform = apart[0]
     return SubmapLink(score - float(np.logaddexp.reduce(rivals)), transform)
 
@@ -205,7 +210,8 @@ def _score(
     score -= _CONFLICT_WEIGHT * max(_conflict(source, target, transform) - _NO_CONFLICT, 0.0)
     if votes is not None:
         gain = votes.scores(votes.agreement(transform[None], close))[0] - votes.doubts.sum()
-        score += _PAIRS_WEIGHT * float(gain)
+        large = min(len(source.poses), len(target.poses)) >= _LARGE
+        score += min(_PAIRS_WEIGHT * float(gain), _MOST_BY_PAIRS if large else np.inf)
     return score
 
 
