@@ -93,12 +93,17 @@ def test_pairs_that_are_measured_are_not_measured_again(building, part, found):
         assert not pairs & {frozenset(each) for each in ends}
 
 
-def test_fragments_that_hardly_overlap_are_linked_all_the_same(building):
-    ids = [*building.spots(1, 5), *building.spots(1, 7), *building.spots(1, 9)]
-    found = closures(building.part(ids), [], building.prepared, CONFIG)
-    assert len(components(ids, found)) == len(
-        components(ids, [building.right(FragmentPair(*sorted(ids[1:])))])
-    )
+def test_fragments_that_hardly_overlap_are_linked_where_nothing_else_does(building):
+    hardly, between = building.spots(2, 3, 6), building.spots(2, 4)[0]
+    pair = FragmentPair(*hardly)
+    (found,) = closures(building.part(hardly), [], building.prepared, CONFIG)
+    assert found.pair == pair
+    distance, angle = building.error(found.T_target_source, pair.source, pair.target)
+    assert distance < 0.2
+    assert angle < 3
+    linked = [building.right(FragmentPair(each, between)) for each in hardly]
+    found = closures(building.part([*hardly, between]), linked, building.prepared, CONFIG)
+    assert pair not in [m.pair for m in found]
 
 
 def test_fragments_far_from_each_other_are_not_linked(building):
