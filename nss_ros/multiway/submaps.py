@@ -71,6 +71,7 @@ class Submaps:
         """
         measurements = sorted(measurements, key=canonical)
         ids = [id_ for id_ in sorted(set(fragments)) if id_ in prepared]
+        prepared = {id_: prepared[id_] for id_ in ids}
         inside = [m for m in measurements if _both(m, prepared)]
         outside = [m for m in measurements if not _both(m, prepared)]
         close = Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
