@@ -82,11 +82,13 @@ class Submaps:
             for part in parts
             for each in closures(part, _within(kept, part), prepared, self._registration)
         ]
-        poses = {id_: pose for part in parts for id_, pose in part.items()}
+        # What cannot be part of a submap is linked by measurements from outside only.
+        start = {id_: np.eye(4) for id_ in fragments}
+        start |= {id_: pose for part in parts for id_, pose in part.items()}
         graph = self._choi.synchronize(
             fragments,
             [*outside, *kept, *found],
-            poses if not outside and len(poses) == len(set(fragments)) else None,
+            None if outside else start,
             rejected,
         )
         return replace(graph, synchronizer=self.name)
