@@ -5,8 +5,9 @@ from nss_ros.config import MultiwayConfig
 from nss_ros.errors import BagError, FormatError, InputError
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.multiway.map_file import load_map, save_map
-from nss_ros.multiway.multi_stage_map import EXCLUDED, MultiStageMap, map_points, solve
+from nss_ros.multiway.multi_stage_map import EXCLUDED, MultiStageMap, map_points
 from nss_ros.multiway.pose_graph import EdgeKind, EdgeStatus
+from nss_ros.multiway.solver import Problem, solve
 from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
 
 
@@ -28,10 +29,12 @@ def content(room) -> MultiStageMap:
 
 def solved(content: MultiStageMap):
     return solve(
-        MultiwayConfig(),
-        sorted(content.fragments),
-        content.measurements(),
-        content.unused_edges(),
+        Problem(
+            MultiwayConfig(),
+            sorted(content.fragments),
+            content.measurements(),
+            content.unused_edges(),
+        )
     )
 
 
@@ -49,6 +52,25 @@ def test_the_first_answer_and_the_first_fragment_count(content, room):
     assert not content.add_result(failed(room.pairs[1], "m", Reason.METHOD_ERROR, "late"))
     assert content.version == version
     assert content.results[room.pairs[1]].ok
+
+
+def test_a_map_is_complete_when_every_pair_is_answered(room):
+    content = MultiStageMap(voxel_size=0.1)
+    assert content.complete
+    version = content.version
+    for pair in room.pairs[:3]:
+        content.add_pair(pair)
+        content.add_pair(pair)
+    assert content.version == version
+    for pair in room.pairs[:3]:
+        assert not content.complete
+        content.add_result(failed(pair, "m", Reason.TOO_FEW_INLIERS, "nothing fits"))
+    assert content.complete
+    # Answers nobody asked for do not stand for those that are missing.
+    content.add_result(failed(room.pairs[4], "m", Reason.TOO_FEW_INLIERS, "nothing fits"))
+    assert content.complete
+    content.add_pair(room.pairs[5])
+    assert not content.complete
 
 
 def test_the_map_keeps_stages_apart(content):

@@ -158,7 +158,9 @@ def test_taking_a_fragment_away_undoes_adding_it(area, added):
 def test_a_canvas_is_never_changed(area):
     poses = area.part(FIRST + NEXT)
     canvas = area.canvas(FIRST)
-    sums = {stage: (each.across.clone(), each.seen.clone()) for stage, each in canvas.layers.items()}
+    sums = {
+        stage: (each.across.clone(), each.seen.clone()) for stage, each in canvas.layers.items()
+    }
     features = canvas.features.clone()
     canvas.extended({id_: poses[id_] for id_ in NEXT}, area.prepared)
     canvas.extended({FIRST[0]: poses[FIRST[0]]}, area.prepared)
