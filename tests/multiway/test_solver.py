@@ -78,14 +78,6 @@ def test_a_process_solves_as_this_one_does_and_remembers_fragments(
     assert edges(solver.solve_with_points(problem, {}).result()) == edges(expected)
 
 
-def test_a_restart_forgets(solver, problem, fragments, expected):
-    assert submap_edges(solver.solve_with_points(problem, fragments).result())
-    solver.restart()
-    assert not submap_edges(solver.solve_with_points(problem, {}).result())
-    again = solver.solve_with_points(problem, fragments).result()
-    assert edges(again) == edges(expected)
-
-
 def test_another_configuration_prepares_anew(solver, problem, fragments, expected, tmp_path):
     path = tmp_path / "weights.safetensors"
     save_weights(path, *load_weights())
@@ -159,10 +151,12 @@ def test_unused_edges_are_carried_over_in_order(problem, ids):
     assert [edge.reason for edge in graph.edges if edge.pair == pair] == ["nothing fits"]
 
 
-def test_after_its_process_died_a_restart_helps(solver, problem, fragments, expected):
+def test_a_restart_helps_when_the_process_died_and_forgets(solver, problem, fragments, expected):
+    assert submap_edges(solver.solve_with_points(problem, fragments).result())
     with pytest.raises(BrokenProcessPool):
         solver._pool.submit(os._exit, 1).result()
     solver.restart()
+    assert not submap_edges(solver.solve_with_points(problem, {}).result())
     assert edges(solver.solve_with_points(problem, fragments).result()) == edges(expected)
 
 

@@ -1,11 +1,13 @@
 """Submaps of the bundled bag, registered with each other; and what they need of a fragment."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from nss_ros.config import MultiwayConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.geometry import from_yaw, inverse, relative
+from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle
 from nss_ros.multiway.agglomeration import Ambiguous
 from nss_ros.multiway.solver import prepared_by
 from nss_ros.multiway.spanning_tree import Closeness
@@ -134,16 +136,31 @@ def test_pairs_that_agree_make_a_link_surer(building, first, second):
     assert building.error(told.T_target_source, pair.source, pair.target)[0] < 0.2
 
 
-def test_a_constraint_of_a_person_beats_all_that_is_seen(building, first, second):
+def test_a_constraint_of_a_person_is_obeyed_whatever_is_seen(building, first, second):
+    source, target = building.submap(second), building.submap(first)
     pair = FragmentPair(second[0], first[0])
-    elsewhere = building.wrong(pair, 3)
-    manual = Ambiguous.of(building.right(pair, manual=True))
-    doubted = Ambiguous.of(elsewhere)
-    link = register_submaps(
-        building.submap(second[:1]), building.submap(first[:1]), [doubted, manual], CLOSE
-    )
-    assert link.odds > 10
-    assert building.error(link.T_target_source, second[0], first[0])[0] < 0.2
+    mistaken = replace(building.wrong(pair, 2), manual=True)
+    sure = [building.right(each) for each in building.asked([*first, *second])]
+    others = [Ambiguous.of(m) for m in sure if not m.pair.same_stage and m.pair != pair]
+    for pairs in ([], others):
+        link = register_submaps(source, target, [*pairs, Ambiguous.of(mistaken)], CLOSE)
+        assert link.odds == np.inf
+        error = relative(link.T_target_source, mistaken.T_target_source)
+        assert np.linalg.norm(error[:3, 3]) < 0.4
+        assert np.degrees(rotation_angle(error)) < 6
+
+
+def test_of_constraints_that_contradict_most_are_obeyed(building, first, second):
+    source, target = building.submap(second[:3]), building.submap(first[:3])
+    right = [
+        building.right(FragmentPair(*each), manual=True)
+        for each in zip(second[:2], first[:2], strict=True)
+    ]
+    wrong = replace(building.wrong(FragmentPair(second[2], first[2]), 5), manual=True)
+    pairs = [Ambiguous.of(m) for m in (wrong, *right)]
+    link = register_submaps(source, target, pairs, CLOSE)
+    assert link.odds == np.inf
+    assert is_right(building, link, second, first)
 
 
 def test_the_height_between_submaps_is_found(building, first, second):

@@ -139,9 +139,8 @@ def test_every_measurement_becomes_an_edge_and_those_of_submaps_are_extra(
         assert angle < 3
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_order_of_the_arguments_does_not_matter(building, solve, ids, pairs, seed):
-    random = np.random.default_rng(seed)
+def test_the_order_of_the_arguments_does_not_matter(building, solve, ids, pairs):
+    random = np.random.default_rng(0)
     measurements = [building.wrong(pair, n, 0.5, 0.3) for n, pair in enumerate(pairs)]
     shuffled = [measurements[n] for n in random.permutation(len(measurements))]
     others = [ids[n] for n in random.permutation(len(ids))]
@@ -177,8 +176,7 @@ def test_a_constraint_alone_joins_what_does_not_touch(building, solve, ids):
     assert_placed_rightly(building, graph, [ids[0], far])
 
 
-@pytest.mark.parametrize("yaw", [0.5, 2.5, -1.8])
-def test_a_constraint_joins_two_areas(building, solve, ids, right, yaw):
+def test_a_constraint_joins_two_areas(building, solve, ids, right):
     """A person says where they are to each other, and not where they would look alike."""
     others = {id_: FragmentId("2", id_.stage, id_.spot) for id_ in ids}
     prepared = building.prepared | {
@@ -187,7 +185,7 @@ def test_a_constraint_joins_two_areas(building, solve, ids, right, yaw):
     twice = [
         replace(m, pair=FragmentPair(others[m.pair.source], others[m.pair.target])) for m in right
     ]
-    there = from_yaw(yaw, (30.0, 5.0, 0.0))
+    there = from_yaw(2.5, (30.0, 5.0, 0.0))
     link = FragmentPair(others[ids[0]], ids[0])
     manual = replace(right[0], pair=link, T_target_source=there, manual=True)
     graph = solve([*ids, *others.values()], [*right, *twice, manual], prepared)
