@@ -28,6 +28,7 @@ _PLACES = 30.0
 _LEAST_DOUBT = 0.03
 # But a person is.
 _NO_DOUBT = 1e-30
+_GIVEN = math.log(_NO_DOUBT) / 2
 # Logarithm of the odds below which a link is not even tried.
 _LEAST_ODDS = -4.0
 _MOST_HYPOTHESES = 6
@@ -315,6 +316,15 @@ class Votes:
         """Logarithm of the evidence for transforms, (k,), by whom they agree with, (k, h)."""
         gains = np.maximum.reduceat(np.where(agree, self.weights, -np.inf), self.starts, axis=1)
         return np.asarray(np.where(np.isfinite(gains), gains, self.doubts).sum(axis=1))
+
+    def obeyed(self, agree: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """With how many constraints of a person transforms agree, (k,).
+
+        Args:
+            agree: (k, h), with which hypotheses.
+        """
+        given = self.starts[self.doubts < _GIVEN]
+        return np.asarray(agree[:, given].sum(axis=1))
 
 
 def _odds(scores: Array, agree: NDArray[np.bool_], best: int, elsewhere: float) -> float:

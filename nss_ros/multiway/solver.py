@@ -63,6 +63,7 @@ class Solver:
         self._pool = worker_pool(1)
         self._known: set[FragmentId] = set()
         self._prepared_with: MultiwayConfig | None = None
+        self._last: Future[PoseGraph] | None = None
 
     def solve(self, problem: Problem) -> Future[PoseGraph]:
         """Begin to solve a problem without points."""
@@ -72,13 +73,14 @@ class Solver:
         self, problem: Problem, fragments: Mapping[FragmentId, Fragment]
     ) -> Future[PoseGraph]:
         """Begin to solve a problem; fragments that were given before need not travel again."""
-        if problem.config != self._prepared_with:
+        again = problem.config == self._prepared_with and not _failed(self._last)
+        if not again:
             self._known.clear()
         new = [each for id_, each in sorted(fragments.items()) if id_ not in self._known]
-        again = problem.config == self._prepared_with
         self._known |= fragments.keys()
         self._prepared_with = problem.config
-        return self._pool.submit(_solve_with_points, problem, new, again)
+        self._last = self._pool.submit(_solve_with_points, problem, new, again)
+        return self._last
 
     def restart(self) -> None:
         """Another process, which knows no fragments: the old one died, or the map was reset."""
@@ -89,6 +91,13 @@ class Solver:
     def close(self) -> None:
         """End the process, whatever it does."""
         stop_now(self._pool)
+
+
+def _failed(future: Future[PoseGraph] | None) -> bool:
+    """Whether it is not known what was prepared."""
+    if future is None or not future.done():
+        return False
+    return future.cancelled() or future.exception() is not None
 
 
 # Of the worker process.

@@ -129,7 +129,7 @@ class SubmapLink:
 
     Attributes:
         odds: logarithm of the odds that it is right, against all others that were found and
-            against none.
+            against none; infinite where a person said so.
         T_target_source: (4, 4).
     """
 
@@ -152,10 +152,13 @@ def register_submaps(
         link = register_submaps(target, source, pairs, close)
         return SubmapLink(link.odds, inverse(link.T_target_source))
     votes = Votes.of(target.poses, source.poses, pairs) if pairs else None
-    scored = [
-        (_score(source, target, each, votes, close), each)
-        for each in _candidates(source, target, votes, close)
-    ]
+    candidates = _candidates(source, target, votes, close)
+    obeyed = 0
+    if votes is not None:
+        counts = votes.obeyed(votes.agreement(np.array(candidates), close))
+        obeyed = int(counts.max())
+        candidates = [candidates[each] for each in np.flatnonzero(counts == obeyed)]
+    scored = [(_score(source, target, each, votes, close), each) for each in candidates]
     scored.sort(key=lambda each: -each[0])
     best = scored[0][0]
     aligned = [
@@ -167,7 +170,8 @@ def register_submaps(
     apart = _apart(ranked, close)
     rivals = [_NOTHING, *(score for score, _ in apart[1:])]
     score, transform = apart[0]
-    return SubmapLink(score - float(np.logaddexp.reduce(rivals)), transform)
+    odds = np.inf if obeyed else score - float(np.logaddexp.reduce(rivals))
+    return SubmapLink(odds, transform)
 
 
 def _candidates(

@@ -71,6 +71,7 @@ class Submaps:
         """
         measurements = sorted(measurements, key=canonical)
         ids = [id_ for id_ in sorted(set(fragments)) if id_ in prepared]
+        prepared = {id_: prepared[id_] for id_ in ids}
         inside = [m for m in measurements if _both(m, prepared)]
         outside = [m for m in measurements if not _both(m, prepared)]
         close = Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
@@ -81,11 +82,13 @@ class Submaps:
             for part in parts
             for each in closures(part, _within(kept, part), prepared, self._registration)
         ]
-        poses = {id_: pose for part in parts for id_, pose in part.items()}
+        # What cannot be part of a submap is linked by measurements from outside only.
+        start = {id_: np.eye(4) for id_ in fragments}
+        start |= {id_: pose for part in parts for id_, pose in part.items()}
         graph = self._choi.synchronize(
             fragments,
             [*outside, *kept, *found],
-            poses if not outside and len(poses) == len(set(fragments)) else None,
+            None if outside else start,
             rejected,
         )
         return replace(graph, synchronizer=self.name)

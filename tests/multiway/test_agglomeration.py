@@ -5,11 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from nss_ros.config import MultiwayConfig
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.geometry import from_yaw, relative, rotation_angle
-from nss_ros.multiway.agglomeration import joined_parts
+from nss_ros.multiway.agglomeration import Ambiguous, Votes, joined_parts
 from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.hypotheses import fitting_hypothesis
 from nss_ros.multiway.pose_graph import Alternative, EdgeStatus, Measurement
@@ -19,7 +21,7 @@ CLOSE = Closeness(0.4, np.radians(6))
 INFORMATION = np.diag([1 / 0.02**2] * 3 + [1 / 0.01**2] * 3)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def poses():
     random = np.random.default_rng(4)
     return {
@@ -140,3 +142,92 @@ def test_the_order_of_measurements_does_not_matter(poses):
     back = Choi(MultiwayConfig()).synchronize(sorted(poses)[::-1], measurements[::-1])
     for one, other in zip(forth.nodes, back.nodes, strict=True):
         assert np.array_equal(one.T_map_fragment, other.T_map_fragment)
+
+
+def votes_of(poses, measurements):
+    """The votes between the fragments of the first stage and those of the second."""
+    one = {id_: pose for id_, pose in poses.items() if id_.stage == 1}
+    other = {id_: pose for id_, pose in poses.items() if id_.stage == 2}
+    between = [Ambiguous.of(m) for m in measurements if not m.pair.same_stage]
+    return Votes.of(one, other, between), between
+
+
+@given(st.integers(0, 1000))
+def test_votes_put_every_hypothesis_into_the_frames_of_the_parts(poses, seed):
+    measurements = ambiguous(poses, seed)
+    votes, between = votes_of(poses, measurements)
+    counts = [len(pair.probabilities) for pair in between]
+    assert votes.starts.tolist() == np.cumsum([0, *counts[:-1]]).tolist()
+    assert len(votes.transforms) == len(votes.weights) == sum(counts)
+    assert np.allclose(votes.transforms @ votes.own, votes.poses)
+    # The parts are in one frame, so a hypothesis that is right is the identity.
+    right = [is_true_between(pair, number, poses) for pair in between for number in range(4)]
+    assert np.allclose(votes.transforms[right], np.eye(4), atol=1e-6)
+
+
+def is_true_between(pair, number, poses):
+    truth = relative(poses[pair.source], poses[pair.target])
+    return np.allclose(pair.transforms[number], truth, atol=1e-6)
+
+
+@given(st.integers(0, 1000))
+def test_the_truth_gets_the_most_votes(poses, seed):
+    votes, between = votes_of(poses, ambiguous(poses, seed))
+    agree = votes.agreement(np.array([np.eye(4), *votes.transforms]), CLOSE)
+    scores = votes.scores(agree)
+    assert scores[0] == pytest.approx(scores.max())
+    # Each pair has one vote, or a doubt.
+    assert agree[0].reshape(len(between), 4).any(axis=1).all()
+    far = votes.agreement(from_yaw(0.0, (500, 0, 0))[None], CLOSE)
+    assert not far.any()
+    assert votes.scores(far)[0] == pytest.approx(votes.doubts.sum())
+
+
+@given(st.integers(0, 1000))
+def test_each_hypothesis_votes_for_itself(poses, seed):
+    votes, _ = votes_of(poses, ambiguous(poses, seed))
+    assert votes.agreement(votes.transforms, CLOSE).diagonal().all()
+    likeliest = votes.likeliest(5)
+    assert len(likeliest) == 5
+    assert np.sort(votes.weights)[-5:].min() == votes.weights[likeliest].min()
+
+
+def test_votes_do_not_depend_on_which_fragment_is_the_source(poses):
+    measurements = ambiguous(poses, 3)
+    votes, between = votes_of(poses, measurements)
+    turned = [
+        replace(
+            pair,
+            source=pair.target,
+            target=pair.source,
+            transforms=pair.inverses,
+            inverses=pair.transforms,
+        )
+        for pair in between
+    ]
+    one = {id_: pose for id_, pose in poses.items() if id_.stage == 1}
+    other = {id_: pose for id_, pose in poses.items() if id_.stage == 2}
+    assert np.allclose(Votes.of(one, other, turned).transforms, votes.transforms)
+
+
+def test_votes_tell_how_many_constraints_of_a_person_are_obeyed(poses):
+    measurements = [m for m in ambiguous(poses, 1) if not m.pair.same_stage][:4]
+    votes, _ = votes_of(poses, measurements)
+    assert votes.obeyed(votes.agreement(np.eye(4)[None], CLOSE)).tolist() == [0]
+    manual = [replace(m, manual=True, alternatives=()) for m in measurements[:2]]
+    truth = relative(poses[manual[0].pair.source], poses[manual[0].pair.target])
+    manual[0] = replace(manual[0], T_target_source=truth)
+    manual[1] = replace(manual[1], T_target_source=from_yaw(2, (50, 0, 0)))
+    votes, _ = votes_of(poses, [*manual, *measurements[2:]])
+    candidates = np.array([np.eye(4), from_yaw(1, (90, 0, 0)), votes.transforms[1]])
+    assert votes.obeyed(votes.agreement(candidates, CLOSE)).tolist() == [1, 0, 1]
+
+
+def test_links_that_are_not_sure_enough_are_not_followed(poses):
+    source, target = sorted(poses)[:2]
+    link = [measured(poses, (source, target), 0.9)]
+    sizes = [
+        len(joined_parts([source, target], link, CLOSE, least_odds)[0])
+        for least_odds in (-4.0, 2.0, 3.0)
+    ]
+    assert sizes == [2, 2, 1]

@@ -11,7 +11,13 @@ from nss_ros.config import MultiwayConfig
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.geometry import exponential, from_rotation, inverse, relative, rotation_angle
 from nss_ros.multiway.choi import Choi
-from nss_ros.multiway.pose_graph import EdgeKind, EdgeStatus, Measurement, NodeStatus
+from nss_ros.multiway.pose_graph import (
+    Alternative,
+    EdgeKind,
+    EdgeStatus,
+    Measurement,
+    NodeStatus,
+)
 from nss_ros.multiway.synchronizer import load_synchronizer, synchronizer_names
 
 _STARTS = ["evidence", "triangles", "confidence"]
@@ -292,6 +298,86 @@ def test_covariances_grow_along_a_chain():
     direct = solve(world, [measured(step, world.truth(step))])
     expected = np.diag([0.02**2] * 3 + [0.01**2] * 3)
     assert np.allclose(direct.nodes[1].covariance, expected, rtol=0.01, atol=1e-7)
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 10_000))
+def test_a_start_near_the_truth_finds_it(seed):
+    world = World(15, seed)
+    measurements, _ = world.measurements(noise=0.002, wrong=0.3)
+    start = {
+        id_: pose @ exponential(world.random.normal(0, 0.02, 6))
+        for id_, pose in world.poses.items()
+    }
+    graph = Choi(MultiwayConfig(bridge_confidence=1.0)).synchronize(world.ids, measurements, start)
+    translation, rotation = worst_error(world, graph)
+    assert translation < 0.2
+    assert rotation < 0.02
+    assert len(graph.edges) == len(measurements)
+
+
+def test_a_start_decides_where_the_measurements_do_not():
+    """Two measurements of one pair that are equally likely, and far from each other."""
+    world = World(2, 0)
+    pair = world.pairs[0]
+    there, elsewhere = world.truth(pair), world.truth(pair) @ random_pose(world.random, 3)
+    measurements = [measured(pair, each, confidence=0.9) for each in (there, elsewhere)]
+    for right in (there, elsewhere):
+        start = {pair.target: np.eye(4), pair.source: right}
+        graph = Choi(MultiwayConfig()).synchronize(world.ids, measurements, start)
+        accepted = [edge for edge in graph.edges if edge.status is EdgeStatus.ACCEPTED]
+        assert [np.allclose(edge.T_target_source, right) for edge in accepted] == [True]
+
+
+def test_a_start_leaves_the_hypotheses_as_they_are():
+    world = World(3, 0, per_node=4.0)
+    alternative = Alternative(random_pose(world.random), np.eye(6), 0.3)
+    measurements = [replace(m, alternatives=(alternative,)) for m in world.measurements()[0]]
+    graph = Choi(MultiwayConfig()).synchronize(world.ids, measurements, world.poses)
+    for edge in graph.edges:
+        assert edge.status is EdgeStatus.ACCEPTED
+        assert np.allclose(edge.T_target_source, world.truth(edge.pair))
+
+
+def test_measurements_that_are_rejected_become_edges_and_nothing_else():
+    world = World(8, 1)
+    measurements, _ = world.measurements()
+    wrong = [
+        (measured(pair, random_pose(world.random), confidence=1.0), f"reason {number}")
+        for number, pair in enumerate(world.pairs[:3])
+    ]
+    lone = FragmentPair(FragmentId("9", 1, 1), FragmentId("9", 1, 2))
+    wrong.append((measured(lone, np.eye(4)), "alone"))
+    ids = [*world.ids, lone.source, lone.target]
+    choi = Choi(MultiwayConfig())
+    without = choi.synchronize(ids, measurements)
+    graph = choi.synchronize(ids, measurements, rejected=wrong)
+    assert fingerprint(graph)[0] == fingerprint(without)[0]
+    assert fingerprint(graph)[1][: len(measurements)] == fingerprint(without)[1]
+    added = graph.edges[len(measurements) :]
+    assert [edge.pair for edge in added] == [m.pair for m, _ in wrong]
+    assert [edge.reason for edge in added] == [reason for _, reason in wrong]
+    assert {(edge.status, edge.weight) for edge in added} == {(EdgeStatus.REJECTED, 0.0)}
+    assert all(edge.residual_translation > 0.1 for edge in added[:3])
+    assert np.isnan(added[3].residual_translation)
+    assert {node.status for node in graph.nodes if node.id.area == "9"} == {NodeStatus.UNPLACED}
+
+
+def test_the_kind_of_an_edge_is_that_of_its_measurement():
+    one, other, later = (FragmentId("1", stage, 1) for stage in (1, 1, 2))
+    other = replace(other, spot=2)
+    within = measured(FragmentPair(one, other), np.eye(4))
+    across = measured(FragmentPair(one, later), np.eye(4))
+    kinds = {
+        EdgeKind.SAME_STAGE: within,
+        EdgeKind.DIFFERENT_STAGE: across,
+        EdgeKind.SUBMAP: replace(across, submap=True),
+        EdgeKind.MANUAL: replace(within, manual=True, submap=True),
+    }
+    for kind, m in kinds.items():
+        assert m.kind is kind
+        graph = Choi(MultiwayConfig()).synchronize([one, other, later], [m])
+        assert [edge.kind for edge in graph.edges] == [kind]
 
 
 def test_choi_is_found_by_name():

@@ -54,6 +54,25 @@ def test_the_first_answer_and_the_first_fragment_count(content, room):
     assert content.results[room.pairs[1]].ok
 
 
+def test_a_map_is_complete_when_every_pair_is_answered(room):
+    content = MultiStageMap(voxel_size=0.1)
+    assert content.complete
+    version = content.version
+    for pair in room.pairs[:3]:
+        content.add_pair(pair)
+        content.add_pair(pair)
+    assert content.version == version
+    for pair in room.pairs[:3]:
+        assert not content.complete
+        content.add_result(failed(pair, "m", Reason.TOO_FEW_INLIERS, "nothing fits"))
+    assert content.complete
+    # Answers nobody asked for do not stand for those that are missing.
+    content.add_result(failed(room.pairs[4], "m", Reason.TOO_FEW_INLIERS, "nothing fits"))
+    assert content.complete
+    content.add_pair(room.pairs[5])
+    assert not content.complete
+
+
 def test_the_map_keeps_stages_apart(content):
     points, stages = map_points(content.fragments, solved(content), 0.2)
     assert len(points) == len(stages)

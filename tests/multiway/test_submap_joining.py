@@ -1,0 +1,145 @@
+"""Submaps joined to larger ones, from pairs that are ambiguous, wrong or were never asked for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nss_ros.fragment import FragmentId, FragmentPair
+from nss_ros.multiway.spanning_tree import Closeness
+from nss_ros.multiway.submap_joining import Joining, joined_submaps
+
+CLOSE = Closeness(0.4, np.radians(6))
+
+
+@pytest.fixture(scope="module")
+def ids(building):
+    return [*building.spots(1, 1, 2, 4, 6, 7), *building.spots(2, 4, 5, 6, 7)]
+
+
+@pytest.fixture(scope="module")
+def pairs(building, ids):
+    return building.asked(ids)
+
+
+def joined(building, ids, measurements):
+    return joined_submaps(ids, measurements, building.prepared, CLOSE)
+
+
+def assert_right(building, part):
+    distance, angle = building.worst(part)
+    assert distance < 0.25
+    assert angle < 3
+
+
+def test_true_pairs_give_one_submap(building, ids, pairs):
+    (part,) = joined(building, ids, [building.right(pair) for pair in pairs])
+    assert part.keys() == set(ids)
+    assert_right(building, part)
+
+
+@pytest.mark.parametrize("seed", [0, 100])
+def test_all_is_joined_rightly_when_every_pair_prefers_what_is_wrong(building, ids, pairs, seed):
+    measurements = [
+        building.wrong(pair, seed + number, confidence=0.5, right=0.3)
+        for number, pair in enumerate(pairs)
+    ]
+    (part,) = joined(building, ids, measurements)
+    assert part.keys() == set(ids)
+    assert_right(building, part)
+
+
+def test_stages_without_any_pair_between_them_are_linked_by_a_search(building, ids, pairs):
+    within = [building.right(pair) for pair in pairs if pair.same_stage]
+    (part,) = joined(building, ids, within)
+    assert part.keys() == set(ids)
+    assert_right(building, part)
+
+
+def test_stages_with_wrong_pairs_between_them_are_joined_rightly(building, ids, pairs):
+    measurements = [
+        building.right(pair) if pair.same_stage else building.wrong(pair, number)
+        for number, pair in enumerate(pairs)
+    ]
+    (part,) = joined(building, ids, measurements)
+    assert part.keys() == set(ids)
+    assert_right(building, part)
+
+
+def test_a_hint_is_enough_where_both_saw_the_same(building):
+    """A pair that is right with a probability of 0.3 only."""
+    source, target = building.spots(2, 5)[0], building.spots(1, 1)[0]
+    hint = building.wrong(FragmentPair(source, target), 1, confidence=0.4, right=0.3)
+    (part,) = joined(building, [source, target], [hint])
+    assert_right(building, part)
+
+
+def test_few_fragments_are_not_joined_without_pairs(building):
+    ids = [*building.spots(1, 1, 2), *building.spots(2, 5, 6)]
+    parts = joined(building, ids, [])
+    assert [list(part) for part in parts] == [[id_] for id_ in sorted(ids)]
+
+
+def elsewhere(building, ids):
+    """The same fragments in another area, with what was prepared of them."""
+    others = {id_: FragmentId("2", id_.stage, id_.spot) for id_ in ids}
+    prepared = building.prepared | {
+        other: replace(building.prepared[id_], id=other) for id_, other in others.items()
+    }
+    return others, prepared
+
+
+def test_two_areas_are_never_joined(building, ids, pairs):
+    """Not even when they look the same."""
+    others, prepared = elsewhere(building, ids)
+    measurements = [building.right(pair) for pair in pairs]
+    measurements += [
+        replace(m, pair=FragmentPair(others[m.pair.source], others[m.pair.target]))
+        for m in measurements
+    ]
+    parts = joined_submaps([*ids, *others.values()], measurements, prepared, CLOSE)
+    assert [part.keys() for part in parts] == [set(ids), set(others.values())]
+
+
+def test_nothing_and_one_fragment_are_no_problem(building, ids):
+    assert joined(building, [], []) == []
+    (part,) = joined(building, ids[:1], [])
+    assert list(part) == ids[:1]
+    assert np.array_equal(part[ids[0]], np.eye(4))
+
+
+def test_every_fragment_is_in_one_part_the_largest_first(building, pairs, ids):
+    apart = building.spots(3, 1, 7)
+    parts = joined(building, [*apart, *ids], [building.right(pair) for pair in pairs])
+    assert sorted(id_ for part in parts for id_ in part) == sorted([*apart, *ids])
+    sizes = [len(part) for part in parts]
+    assert sizes == sorted(sizes, reverse=True) == [len(ids), 1, 1]
+
+
+def test_the_order_of_the_fragments_does_not_matter(building, ids, pairs):
+    measurements = [building.wrong(pair, n, 0.5, 0.3) for n, pair in enumerate(pairs)]
+    forth = joined(building, ids, measurements)
+    back = joined(building, ids[::-1], measurements)
+    assert [part.keys() for part in forth] == [part.keys() for part in back]
+    for one, other in zip(forth, back, strict=True):
+        assert all(one[id_].tobytes() == other[id_].tobytes() for id_ in one)
+
+
+def test_each_step_joins_two_submaps_that_are_sure(building, ids, pairs):
+    measurements = [building.wrong(pair, n, 0.5, 0.3) for n, pair in enumerate(pairs)]
+    joining = Joining(ids, measurements, building.prepared, CLOSE)
+    count = len(joining.submaps)
+    assert count > 1
+    for odds, one, other, link in joining:
+        assert odds == link.odds >= 0
+        assert not one.poses.keys() & other.poses.keys()
+        assert len(joining.submaps) == count
+        count -= 1
+    assert len(joining.submaps) == count == 1
+    assert joining.parts()[0].keys() == set(ids)
+
+
+def test_a_constraint_of_a_person_joins_what_does_not_touch(building):
+    pair = FragmentPair(building.spots(3, 7)[0], building.spots(1, 5)[0])
+    (part,) = joined(building, [pair.source, pair.target], [building.right(pair, manual=True)])
+    assert_right(building, part)
