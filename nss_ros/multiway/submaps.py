@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import torch
 
 from nss_ros.config import GravityConfig, MultiwayConfig, RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId
@@ -44,6 +45,8 @@ class Submaps:
     def __init__(self, config: MultiwayConfig) -> None:
         self._config = config
         self._registration = RegistrationConfig(gravity=GravityConfig(weights=config.weights))
+        # The sums of one thread are always the same.
+        torch.set_num_threads(1)
         self._network, _ = load_weights(config.weights)
         self._choi = Choi(config)
 

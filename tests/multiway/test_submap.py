@@ -194,19 +194,6 @@ def test_joined_submaps_are_those_of_all_fragments(building, first, second):
     assert target.poses.keys() == set(first)
 
 
-def test_a_submap_without_a_fragment_is_as_before(building, first, second):
-    before, added = building.submap(first), second[1]
-    truth = relative(building.poses[added], building.poses[first[0]])
-    grown = before.joined(building.submap([added]), truth, building.prepared)
-    back = grown.without(added, building.prepared)
-    assert back.poses.keys() == before.poses.keys()
-    there = relative(building.poses[second[0]], building.poses[first[0]])
-    source = building.submap(second[:1]).canvas
-    assert canvas_score(source, back.canvas, there) == pytest.approx(
-        canvas_score(source, before.canvas, there), abs=0.05
-    )
-
-
 def test_features_at_a_fragments_own_floor_are_the_same(building, first):
     fragment = building.prepared[first[0]]
     again = fragment.at_floor(fragment.floor)

@@ -137,24 +137,6 @@ def test_fragments_may_be_added_at_once_or_later(area):
     )
 
 
-@pytest.mark.parametrize("added", [NEXT[0], SECOND[0]])
-def test_taking_a_fragment_away_undoes_adding_it(area, added):
-    poses = area.part([*FIRST, added])
-    canvas = area.canvas(FIRST)
-    grown = canvas.extended({added: poses[added]}, area.prepared)
-    back = grown.without(added, poses[added], area.prepared[added])
-    rim = (back.size - canvas.size) // 2
-    inner = slice(rim, rim + canvas.size)
-    assert torch.allclose(back.features[:, inner, inner], canvas.features, atol=1e-4)
-    outside = back.features.clone()
-    outside[:, inner, inner] = 0
-    assert float(outside.abs().max()) < 1e-4
-    source, truth = area.canvas(SECOND), area.truth(SECOND, FIRST)
-    assert canvas_score(source, back, truth) == pytest.approx(
-        canvas_score(source, canvas, truth), abs=0.01
-    )
-
-
 def test_a_canvas_is_never_changed(area):
     poses = area.part(FIRST + NEXT)
     canvas = area.canvas(FIRST)
@@ -164,7 +146,6 @@ def test_a_canvas_is_never_changed(area):
     features = canvas.features.clone()
     canvas.extended({id_: poses[id_] for id_ in NEXT}, area.prepared)
     canvas.extended({FIRST[0]: poses[FIRST[0]]}, area.prepared)
-    canvas.without(FIRST[0], poses[FIRST[0]], area.prepared[FIRST[0]])
     assert torch.equal(canvas.features, features)
     for stage, (across, seen) in sums.items():
         assert torch.equal(canvas.layers[stage].across, across)
