@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.errors import InputError
-from nss_ros.simulation.clutter import clutter
+from nss_ros.simulation.clutter import with_clutter
 from nss_ros.simulation.element import Element, Material
 from nss_ros.simulation.ifc_plan import (
     IfcArea,
@@ -158,14 +158,7 @@ def build_ifc_site(
             "notes": notes,
         },
     )
-    if area.clutter == 0:
-        return site
-    lying_about = clutter(site, area.clutter, seed)
-    return replace(
-        site,
-        elements=(*elements, *lying_about),
-        source={**site.source, "clutter_seed": seed, "clutter": len(lying_about)},
-    )
+    return with_clutter(site, area.clutter, seed)
 
 
 def walled_storeys(

@@ -151,7 +151,7 @@ def _build(name: str, entry: AreaEntry, folder: Path, seed: int, report: Report 
     if entry.procedural is not None:
         return build_floor(name, entry.procedural, own_seed)
     if entry.meshes is not None:
-        return build_mesh_site(name, entry.meshes, folder)
+        return build_mesh_site(name, entry.meshes, folder, own_seed)
     assert entry.ifc is not None  # exactly one is there
     return build_ifc_site(name, entry.ifc, folder, report, own_seed)
 
