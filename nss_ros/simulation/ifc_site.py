@@ -23,6 +23,7 @@ from nss_ros.simulation.ifc_plan import (
     default_plan,
     parse_date,
     read_schedule,
+    ruled_material,
     states_of,
 )
 from nss_ros.simulation.ifc_report import plan_report
@@ -485,7 +486,7 @@ def _elements(
         mesh = Mesh(part.mesh.vertices - origin, part.mesh.triangles)
         states = states_of(part.facts, stages, rules)
         for shape in shapes(mesh, states, 0.0, area.stud_spacing):
-            elements += _elements_of(part, shape)
+            elements += _elements_of(part, shape, ruled_material(part.facts, rules))
     return tuple(elements)
 
 
@@ -498,18 +499,24 @@ def _scheduled(parts: Sequence[_Part], schedule: dict[str, date]) -> list[_Part]
     ]
 
 
-def _elements_of(part: _Part, shape: Shape) -> Iterator[Element]:
-    """A shape as an element; of the element itself, glass apart from the rest."""
+def _elements_of(part: _Part, shape: Shape, material: Material | None) -> Iterator[Element]:
+    """A shape as an element; of the element itself, glass apart from the rest.
+
+    A material given by a rule is that of the element as a whole, not of its frame or its props.
+    """
     kind, name = part.facts.classes[0], part.facts.name
     if shape.label:
         yield Element(kind, shape.stages, shape.mesh, shape.material, f"{name}, {shape.label}")
+        return
+    if material is not None:
+        yield Element(kind, shape.stages, shape.mesh, material, name)
         return
     for glass in (False, True):
         chosen = part.transparent == glass
         if chosen.any():
             mesh = Mesh(shape.mesh.vertices, np.ascontiguousarray(shape.mesh.triangles[chosen]))
-            material = Material.GLASS if glass else _material(part.facts)
-            yield Element(kind, shape.stages, mesh, material, name)
+            told = Material.GLASS if glass else _material(part.facts)
+            yield Element(kind, shape.stages, mesh, told, name)
 
 
 def _material(facts: IfcFacts) -> Material:
