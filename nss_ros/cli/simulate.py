@@ -20,7 +20,7 @@ from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.dataset.generate import generate
 from nss_ros.errors import BagError
 from nss_ros.fragment import FragmentId
-from nss_ros.simulation.site_file import areas, built_in_sites, site_file_of
+from nss_ros.simulation.site_file import areas, built_in_sites, settings_for, site_file_of
 from nss_ros.table import Align, Column, Table
 
 StoreysOption = Annotated[
@@ -114,6 +114,7 @@ def _generate(
             progress.update(reading, description=name, completed=done, total=total, visible=True)
 
         site_file, folder = site_file_of(sites, storeys=storeys, report=read)
+        simulation = settings_for(site_file, settings.simulation)
 
         def scanned(fragment: FragmentId) -> None:
             progress.update(scanning, description=f"fragments of area {fragment.area}", advance=1)
@@ -123,8 +124,8 @@ def _generate(
 
         return generate(
             output,
-            areas(site_file, folder, settings.simulation.seed, read),
-            settings.simulation,
+            areas(site_file, folder, simulation.seed, read),
+            simulation,
             site_file.model_dump(mode="json", exclude_none=True),
             labels,
             workers,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,24 @@ _LEAST_PART = 0.5  # of floor that may be cut off, square metres
 _MARGIN = 0.08  # around a thing, metres
 _TRIES = 30
 _SHELL, _FINISHING = 2, 5  # of `things.PHASES`
+
+
+def with_clutter(site: Site, amount: float, seed: int) -> Site:
+    """A site with what lies about on it; its source tells the seed and the number of things.
+
+    Args:
+        site: without it.
+        amount: as of `clutter`; with 0 the site stays as it is and does not depend on the seed.
+        seed: as of `clutter`.
+    """
+    if amount == 0:
+        return site
+    things = clutter(site, amount, seed)
+    return replace(
+        site,
+        elements=(*site.elements, *things),
+        source={**site.source, "clutter_seed": seed, "clutter": len(things)},
+    )
 
 
 def clutter(site: Site, amount: float, seed: int) -> list[Element]:

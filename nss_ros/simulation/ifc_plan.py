@@ -10,12 +10,13 @@ from datetime import date, datetime
 from enum import StrEnum
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, model_validator
 
 from nss_ros.config.section import Positive, Section
 from nss_ros.errors import FormatError, InputError
+from nss_ros.simulation.element import Material
 
 
 class State(StrEnum):
@@ -42,6 +43,9 @@ class IfcRule(Section):
     value: str = Field("*", description="Shell pattern of that property's value")
     states: dict[int, State] = Field(
         {}, description="State from that stage on, e.g. {2: studs, 3: built}; before it: absent"
+    )
+    material: Literal["", "matt", "dark", "metal", "glass"] = Field(
+        "", description="What a depth sensor meets; none: told by class, names and styles"
     )
     by_schedule: bool = Field(
         False, description="Built from the stage on whose date its task's finish does not exceed"
@@ -200,6 +204,13 @@ def states_of(
         if state is not State.ABSENT:
             found.setdefault(state, set()).add(stage)
     return {state: frozenset(numbers) for state, numbers in found.items()}
+
+
+def ruled_material(facts: IfcFacts, rules: Sequence[IfcRule]) -> Material | None:
+    """The material that the rule of an element gives it, None if it does not."""
+    holding = holding_rules(facts, rules)
+    named = rules[holding[0]].material if holding else ""
+    return Material[named.upper()] if named else None
 
 
 def holding_rules(facts: IfcFacts, rules: Sequence[IfcRule]) -> list[int]:

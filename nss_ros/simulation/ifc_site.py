@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.errors import InputError
-from nss_ros.simulation.clutter import clutter
+from nss_ros.simulation.clutter import with_clutter
 from nss_ros.simulation.element import Element, Material
 from nss_ros.simulation.ifc_plan import (
     IfcArea,
@@ -23,6 +23,7 @@ from nss_ros.simulation.ifc_plan import (
     default_plan,
     parse_date,
     read_schedule,
+    ruled_material,
     states_of,
 )
 from nss_ros.simulation.ifc_report import plan_report
@@ -158,14 +159,7 @@ def build_ifc_site(
             "notes": notes,
         },
     )
-    if area.clutter == 0:
-        return site
-    lying_about = clutter(site, area.clutter, seed)
-    return replace(
-        site,
-        elements=(*elements, *lying_about),
-        source={**site.source, "clutter_seed": seed, "clutter": len(lying_about)},
-    )
+    return with_clutter(site, area.clutter, seed)
 
 
 def walled_storeys(
@@ -492,7 +486,7 @@ def _elements(
         mesh = Mesh(part.mesh.vertices - origin, part.mesh.triangles)
         states = states_of(part.facts, stages, rules)
         for shape in shapes(mesh, states, 0.0, area.stud_spacing):
-            elements += _elements_of(part, shape)
+            elements += _elements_of(part, shape, ruled_material(part.facts, rules))
     return tuple(elements)
 
 
@@ -505,18 +499,24 @@ def _scheduled(parts: Sequence[_Part], schedule: dict[str, date]) -> list[_Part]
     ]
 
 
-def _elements_of(part: _Part, shape: Shape) -> Iterator[Element]:
-    """A shape as an element; of the element itself, glass apart from the rest."""
+def _elements_of(part: _Part, shape: Shape, material: Material | None) -> Iterator[Element]:
+    """A shape as an element; of the element itself, glass apart from the rest.
+
+    A material given by a rule is that of the element as a whole, not of its frame or its props.
+    """
     kind, name = part.facts.classes[0], part.facts.name
     if shape.label:
         yield Element(kind, shape.stages, shape.mesh, shape.material, f"{name}, {shape.label}")
+        return
+    if material is not None:
+        yield Element(kind, shape.stages, shape.mesh, material, name)
         return
     for glass in (False, True):
         chosen = part.transparent == glass
         if chosen.any():
             mesh = Mesh(shape.mesh.vertices, np.ascontiguousarray(shape.mesh.triangles[chosen]))
-            material = Material.GLASS if glass else _material(part.facts)
-            yield Element(kind, shape.stages, mesh, material, name)
+            told = Material.GLASS if glass else _material(part.facts)
+            yield Element(kind, shape.stages, mesh, told, name)
 
 
 def _material(facts: IfcFacts) -> Material:

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from nss_ros.config.section import Positive, Section
 from nss_ros.errors import FormatError, InputError
+from nss_ros.simulation.clutter import with_clutter
 from nss_ros.simulation.element import Element
 from nss_ros.simulation.mesh import Mesh
 from nss_ros.simulation.site import Rectangle, Site
@@ -39,9 +40,16 @@ class MeshArea(Section):
         description="Height of the bare floor, metres; none: that of the largest level surface "
         "which faces up, of the lowest where several are about as large",
     )
+    clutter: float = Field(
+        0.0,
+        ge=0,
+        le=3,
+        description="Things that lie about and move between stages (stacks, scaffolds, lifts, "
+        "bins), as a factor of their usual number; meshes of scans have their own; 0: none",
+    )
 
 
-def build_mesh_site(name: str, area: MeshArea, folder: Path) -> Site:
+def build_mesh_site(name: str, area: MeshArea, folder: Path, seed: int = 0) -> Site:
     """The site of an area given as meshes.
 
     A part of a mesh (a named geometry of a scene, or what is connected) that is the same to a
@@ -51,6 +59,7 @@ def build_mesh_site(name: str, area: MeshArea, folder: Path) -> Site:
         name: of the area.
         area: its files.
         folder: that relative paths are relative to.
+        seed: of the clutter; a site without it does not depend on it.
 
     Raises:
         InputError: a file is missing, the number of names is wrong, or no floor is found.
@@ -76,7 +85,7 @@ def build_mesh_site(name: str, area: MeshArea, folder: Path) -> Site:
         for key, (label, mesh) in parts.items()
     )
     low, high = _bounds(elements)
-    return Site(
+    site = Site(
         name,
         len(area.stages),
         elements,
@@ -85,6 +94,7 @@ def build_mesh_site(name: str, area: MeshArea, folder: Path) -> Site:
         tuple(area.names),
         {"meshes": area.model_dump(), "sha256": hashes},
     )
+    return with_clutter(site, area.clutter, seed)
 
 
 def _parts(path: Path, area: MeshArea) -> Iterator[tuple[str, Mesh]]:

@@ -7,9 +7,10 @@
         meshes: {stages: [shell.ply, finished.obj]}
       "3":
         ifc: {files: [structure.ifc, walls.ifc], storey: "Level 2"}
+    viewpoints: {min_region: 0.1}
 
 An area is one building floor; its name goes into the fragment ids. Relative paths are relative to
-the site file.
+the site file. Viewpoints are settings that suit these sites; those that a user sets win over them.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from typing import Annotated, Any, Self
 import yaml
 from pydantic import Field, StringConstraints, model_validator
 
-from nss_ros.config import SiteConfig, validated
+from nss_ros.config import SimulationConfig, SiteConfig, ViewpointConfig, validated
 from nss_ros.config.section import Section
 from nss_ros.errors import InputError
 from nss_ros.simulation.ifc_plan import IfcArea
@@ -60,6 +61,9 @@ class SiteFile(Section):
     """The content of a site file."""
 
     areas: dict[AreaName, AreaEntry] = Field(min_length=1, description="Areas by name")
+    viewpoints: ViewpointConfig | None = Field(
+        None, description="Where tripods are put, unless the settings of a run say otherwise"
+    )
 
 
 def built_in_sites() -> list[str]:
@@ -129,6 +133,25 @@ def site_file_of(
     return validated(SiteFile, {"areas": {area: entry}}, "the command line"), Path()
 
 
+def settings_for(site_file: SiteFile, config: SimulationConfig) -> SimulationConfig:
+    """Settings of a run, those of the site file where the run sets nothing itself.
+
+    Args:
+        site_file: the areas, with settings of their own or without.
+        config: of the run, as it was read: what was set there is told from defaults.
+
+    Raises:
+        ConfigError: the two do not go together.
+    """
+    if site_file.viewpoints is None:
+        return config
+    given: dict[str, Any] = {}
+    for viewpoints in (site_file.viewpoints, config.viewpoints):
+        given |= viewpoints.model_dump(include=viewpoints.model_fields_set)
+    merged = validated(ViewpointConfig, given, "the site file and the settings of the run")
+    return config.model_copy(update={"viewpoints": merged})
+
+
 def areas(
     site_file: SiteFile, folder: Path, seed: int, report: Report | None = None
 ) -> list[tuple[str, Callable[[], Site]]]:
@@ -151,7 +174,7 @@ def _build(name: str, entry: AreaEntry, folder: Path, seed: int, report: Report 
     if entry.procedural is not None:
         return build_floor(name, entry.procedural, own_seed)
     if entry.meshes is not None:
-        return build_mesh_site(name, entry.meshes, folder)
+        return build_mesh_site(name, entry.meshes, folder, own_seed)
     assert entry.ifc is not None  # exactly one is there
     return build_ifc_site(name, entry.ifc, folder, report, own_seed)
 

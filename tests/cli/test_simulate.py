@@ -97,6 +97,19 @@ def test_a_run_that_was_cut_short_is_completed(made, tmp_path):
     assert "seed = 3, not 4" in str(result.exception)
 
 
+def test_a_site_file_may_say_where_tripods_are_put(tmp_path):
+    site = tmp_path / "site.yaml"
+    site.write_text(
+        "{areas: {a: {procedural: {width: 14, depth: 11, stages: 1}}},"
+        " viewpoints: {spots_per_stage: 1}}"
+    )
+    others = [option for option in SMALL if option not in ("--spots-per-stage", "4")]
+    assert run_json("simulate", site, "-o", tmp_path / "one", *others)["fragments"] == 1
+    assert run_json("simulate", site, "-o", tmp_path / "four", *SMALL)["fragments"] == 4
+    viewpoints = DatasetFolder(tmp_path / "one").manifest.simulation["viewpoints"]
+    assert viewpoints["spots_per_stage"] == 1
+
+
 def test_pairs_are_split_and_graphs_make_a_challenge_folder(made):
     folder, _ = made
     dataset = folder / "dataset"

@@ -443,6 +443,21 @@ def test_steel_is_metal_by_its_material(tmp_path, build):
     assert found.material is Material.METAL
 
 
+def test_a_rule_may_say_what_a_sensor_meets(tmp_path, build):
+    model = Model().house()
+    model.add("IfcPlate", "RAAM 7", (1, 1, 1), (1, 0.05, 1.2))
+    name = model.write(tmp_path / "house.ifc")
+    panes = {"name": "raam *", "states": {2: "built"}, "material": "glass"}
+    walls = {"name": "Partition 1", "states": {2: "studs", 3: "built"}, "material": "dark"}
+    staged = STAGED | {"rules": [panes, walls, *STAGED["rules"]]}
+    materials = {element.name: element.material for element in build(name, **staged).elements}
+    assert materials["RAAM 7"] is Material.GLASS
+    assert materials["Partition 1"] is Material.DARK
+    assert materials["Partition 1, studs"] is Material.METAL
+    plain = {element.name: element.material for element in build(name, **STAGED).elements}
+    assert Material.GLASS not in plain.values()
+
+
 @pytest.mark.parametrize("outcome", [True, False])
 def test_tasks_in_the_file_decide(tmp_path, build, outcome):
     model = Model().house()

@@ -4,6 +4,7 @@ import trimesh
 
 from nss_ros.errors import FormatError, InputError
 from nss_ros.simulation.mesh_site import MeshArea, build_mesh_site
+from nss_ros.simulation.site_file import areas, site_file_of
 
 
 def floor():
@@ -91,3 +92,28 @@ def test_a_mesh_without_floor_needs_its_height(tmp_path):
         build_mesh_site("A", MeshArea(stages=["wall.ply"]), tmp_path)
     site = build_mesh_site("A", MeshArea(stages=["wall.ply"], floor_height=1.5), tmp_path)
     assert site.floor_height == 1.5
+
+
+def test_things_lie_about_if_asked_for(folder):
+    files = ["first.ply", "second.stl"]
+    bare = build_mesh_site("A", MeshArea(stages=files), folder, seed=1)
+    assert len(bare.elements) == 3
+    area = MeshArea(stages=files, clutter=3.0)
+    one, again, other = (build_mesh_site("A", area, folder, seed) for seed in (1, 1, 2))
+    assert one.source["clutter"] == len(one.elements) - 3 > 0
+    assert [element.name for element in one.elements] == [e.name for e in again.elements]
+    assert [element.name for element in one.elements] != [e.name for e in other.elements]
+    assert one.extent == bare.extent
+    assert one.floor_height == bare.floor_height
+
+
+def test_a_site_file_gives_meshes_a_seed_of_their_own(folder):
+    (folder / "site.yaml").write_text(
+        "areas:\n"
+        "  '1': {meshes: {stages: [first.ply, second.stl], clutter: 3}}\n"
+        "  '2': {meshes: {stages: [first.ply, second.stl], clutter: 3}}\n"
+    )
+    site_file, where = site_file_of([str(folder / "site.yaml")])
+    one, two = (build() for _, build in areas(site_file, where, 4))
+    assert one.source["clutter_seed"] != two.source["clutter_seed"]
+    assert [element.name for element in one.elements] != [e.name for e in two.elements]

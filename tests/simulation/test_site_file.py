@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from nss_ros.config import load_config
 from nss_ros.errors import ConfigError, InputError
-from nss_ros.simulation.site_file import areas, built_in_sites, site_file_of
+from nss_ros.simulation.site_file import areas, built_in_sites, settings_for, site_file_of
 
 
 def test_built_in_sites_can_all_be_read():
@@ -42,6 +43,21 @@ def test_meshes_and_their_paths_are_relative_to_the_site_file(tmp_path, monkeypa
     site_file, folder = site_file_of([str(tmp_path / "models" / "slab.stl")] * 2)
     ((name, build),) = areas(site_file, folder, 0)
     assert (name, build().stages) == ("1", 2)
+
+
+def test_settings_of_a_site_file_hold_where_a_run_sets_nothing(tmp_path):
+    path = tmp_path / "site.yaml"
+    path.write_text("{areas: {a: {procedural: {}}}, viewpoints: {min_region: 0.2, max_spacing: 3}}")
+    site_file, _ = site_file_of([str(path)])
+    config = load_config(None, ["simulation.seed=7", "simulation.viewpoints.max_spacing=2"])
+    used = settings_for(site_file, config.simulation)
+    assert (used.seed, used.viewpoints.min_region, used.viewpoints.max_spacing) == (7, 0.2, 2.0)
+    assert used.viewpoints.min_spacing == config.simulation.viewpoints.min_spacing
+    config = load_config(None, ["simulation.viewpoints.min_spacing=3.5"])
+    with pytest.raises(ConfigError, match="max_spacing"):
+        settings_for(site_file, config.simulation)
+    demo, _ = site_file_of(["demo"])
+    assert settings_for(demo, config.simulation) is config.simulation
 
 
 @pytest.mark.parametrize(
