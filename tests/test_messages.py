@@ -108,6 +108,15 @@ def test_pose_graph_round_trip(family):
     assert again.nodes[0].component == 2
 
 
+@pytest.mark.parametrize("kind", EdgeKind)
+def test_every_kind_of_edge_survives_and_has_the_number_of_the_message(family, kind):
+    graph = PoseGraph((Node(A), Node(B)), (Edge(FragmentPair(B, A), np.eye(4), kind),))
+    message = pose_graph_message(graph, "map", 3, family, GraphProgress(1, 1, True))
+    assert pose_graph_from(message).edges[0].kind is kind
+    edge = message.edges[0]
+    assert edge.kind == getattr(type(edge), f"KIND_{kind.name}")
+
+
 def test_each_family_reads_the_bytes_of_the_other():
     # Not compared as bytes: Fast CDR leaves its padding uninitialised.
     rclpy_serialization = pytest.importorskip("rclpy.serialization")
