@@ -111,8 +111,13 @@ class RegistrationConfig(Section):
         0.05, description="Fragments are voxelised to this size on arrival, metres"
     )
     min_points: int = Field(100, ge=3, description="Fewest voxelised points that a fragment needs")
-    min_inlier_ratio: Fraction = Field(0.05, description="Least inlier ratio of an estimate")
-    max_tilt: Positive = Field(3.0, description="Most tilt between two levelled fragments, degrees")
+    min_inlier_ratio: Fraction = Field(
+        0.05, description="Least inlier ratio of an estimate; gravity gives a confidence instead"
+    )
+    max_tilt: Positive = Field(
+        3.0,
+        description="Most tilt between two levelled fragments, degrees; gravity gives a confidence instead",
+    )
     overlap_distance: Positive = Field(
         0.2, description="Distance at which points count as overlapping (tau), metres"
     )
