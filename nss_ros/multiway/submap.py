@@ -50,7 +50,7 @@ _LARGE, _MOST_BY_PAIRS = 3, 8.0
 _NOTHING = 10.0
 # Within a stage nothing moves: points in what others saw to be empty, more than some by the noise
 # of the sensor, speak against a pose. Of each pose the nearest pairs of fragments are looked at.
-_CONFLICT_WEIGHT, _NO_CONFLICT = 60.0, 0.02
+_CONFLICT_WEIGHT, _NO_CONFLICT = 150.0, 0.02
 _MOST_VIEWS, _VIEW_DISTANCE = 6, 6.0
 
 Fragments = Mapping[FragmentId, SubmapFragment]
