@@ -35,10 +35,11 @@ def propose(
 ) -> None:
     """Copy a bag and ask for the pairs that look most like overlapping.
 
-    For fragments whose pairs nobody chose, such as those of the challenge's test graphs, of which
-    'nss import' asks for all pairs: give --anew for these. All pairs of an
-    area are looked at, coarsely; some for each fragment are proposed. Fragments that are not
-    levelled get none. Ground truth is copied and not looked at.
+    All pairs of an area are looked at, coarsely, and some are proposed for
+    each fragment that is levelled. Ground truth is copied and not looked at.
+
+    For fragments whose pairs nobody chose, such as those of the challenge's
+    test graphs; 'nss import' asks for all pairs of these: give --anew.
     """
     from nss_ros.batch.proposing import propose as propose_pairs
 
