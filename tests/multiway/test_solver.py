@@ -1,6 +1,6 @@
 """Maps solved in a process of their own."""
 
-import os
+import signal
 from concurrent.futures.process import BrokenProcessPool
 from itertools import pairwise
 
@@ -154,7 +154,7 @@ def test_unused_edges_are_carried_over_in_order(problem, ids):
 def test_a_restart_helps_when_the_process_died_and_forgets(solver, problem, fragments, expected):
     assert submap_edges(solver.solve_with_points(problem, fragments).result())
     with pytest.raises(BrokenProcessPool):
-        solver._pool.submit(os._exit, 1).result()
+        solver._pool.submit(signal.raise_signal, signal.SIGKILL).result()
     solver.restart()
     assert not submap_edges(solver.solve_with_points(problem, {}).result())
     assert edges(solver.solve_with_points(problem, fragments).result()) == edges(expected)
