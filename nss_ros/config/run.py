@@ -158,9 +158,9 @@ class MultiwayConfig(Section):
         "evidence",
         description="Initial poses: by the evidence of all hypotheses, or of a spanning tree by triangle support, or by confidence as in the paper's set-up",
     )
-    weights: str = Field(
+    submap_weights: str = Field(
         "",
-        description="File of trained weights by which submaps are registered; empty: those that come with the package",
+        description="File of trained weights of gravity by which submaps are registered; empty: those that come with the package",
     )
     max_distance: Positive = Field(
         0.2, description="Correspondence distance that scales the line process, metres"

@@ -28,6 +28,7 @@ _PLACES = 30.0
 _LEAST_DOUBT = 0.03
 # But a person is.
 _NO_DOUBT = 1e-30
+# Logarithm of a doubt that only a person's constraint is below.
 _GIVEN = math.log(_NO_DOUBT) / 2
 # Logarithm of the odds below which a link is not even tried.
 _LEAST_ODDS = -4.0

@@ -44,10 +44,12 @@ class Submaps:
 
     def __init__(self, config: MultiwayConfig) -> None:
         self._config = config
-        self._registration = RegistrationConfig(gravity=GravityConfig(weights=config.weights))
+        self._registration = RegistrationConfig(
+            gravity=GravityConfig(weights=config.submap_weights)
+        )
         # The sums of one thread are always the same.
         torch.set_num_threads(1)
-        self._network, _ = load_weights(config.weights)
+        self._network, _ = load_weights(config.submap_weights)
         self._choi = Choi(config)
 
     def prepare(self, fragment: Fragment) -> SubmapFragment | None:

@@ -82,7 +82,7 @@ def test_another_configuration_prepares_anew(solver, problem, fragments, expecte
     path = tmp_path / "weights.safetensors"
     save_weights(path, *load_weights())
     assert submap_edges(solver.solve_with_points(problem, fragments).result())
-    same_weights = Problem(CONFIG.model_copy(update={"weights": str(path)}), *_rest(problem))
+    same_weights = Problem(CONFIG.model_copy(update={"submap_weights": str(path)}), *_rest(problem))
     # What was prepared by other weights is not used.
     assert not submap_edges(solver.solve_with_points(same_weights, {}).result())
     prepared_anew = solver.solve_with_points(same_weights, fragments).result()
@@ -91,7 +91,7 @@ def test_another_configuration_prepares_anew(solver, problem, fragments, expecte
 
 def test_what_failed_is_tried_again(solver, problem, fragments, expected, tmp_path):
     path = tmp_path / "weights.safetensors"
-    missing = Problem(CONFIG.model_copy(update={"weights": str(path)}), *_rest(problem))
+    missing = Problem(CONFIG.model_copy(update={"submap_weights": str(path)}), *_rest(problem))
     with pytest.raises(MethodError, match="weights"):
         solver.solve_with_points(missing, fragments).result()
     save_weights(path, *load_weights())

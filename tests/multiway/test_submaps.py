@@ -279,7 +279,7 @@ def test_a_strange_cloud_does_no_harm(building, solve, synchronizer, ids, right,
 def test_weights_that_are_none_are_an_error(tmp_path):
     path = tmp_path / "weights.safetensors"
     with pytest.raises(MethodError, match="weights"):
-        Submaps(MultiwayConfig(weights=str(path)))
+        Submaps(MultiwayConfig(submap_weights=str(path)))
     path.write_bytes(b"nothing")
     with pytest.raises(MethodError, match="weights"):
-        load_synchronizer(MultiwayConfig(weights=str(path)))
+        load_synchronizer(MultiwayConfig(submap_weights=str(path)))
