@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations_with_replacement
+from itertools import combinations
 from pathlib import Path
 
 from nss_ros.bag import read_log, with_source_points, write_bag
@@ -14,13 +14,13 @@ from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.parallel import run
 from nss_ros.registration.gravity.proposals import (
     Sketch,
-    block_evidence,
+    pair_evidence,
     proposed_pairs,
     sketch,
 )
 
-# Sketches that travel to a worker at a time, from each side.
-_BLOCK = 16
+# Pairs that a worker looks at in one call, a few seconds.
+_CALL = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,10 +111,10 @@ def _sketch(call: tuple[Fragment, RegistrationConfig]) -> Sketch | None:
 def _evidence(
     sketches: Sequence[Sketch], workers: int, report: Callable[[str, int, int], None]
 ) -> dict[FragmentPair, float]:
-    blocks = [sketches[start : start + _BLOCK] for start in range(0, len(sketches), _BLOCK)]
-    calls = list(combinations_with_replacement(blocks, 2))
+    pairs = [(a, b) for a, b in combinations(sketches, 2) if a.id.area == b.id.area]
+    calls = [pairs[start : start + _CALL] for start in range(0, len(pairs), _CALL)]
     evidence: dict[FragmentPair, float] = {}
-    for number, each in enumerate(run(block_evidence, calls, workers), 1):
-        report("blocks of pairs", number, len(calls))
+    for number, each in enumerate(run(pair_evidence, calls, workers), 1):
+        report("pairs", min(number * _CALL, len(pairs)), len(pairs))
         evidence |= each
     return evidence

@@ -13,7 +13,7 @@ from nss_ros.cli.map import ConfigOption, SetOption
 from nss_ros.cli.output import print_json
 from nss_ros.cli.pairs import WorkersOption
 from nss_ros.cli.progress import progress_bar
-from nss_ros.config import load_config
+from nss_ros.config import ProposalConfig, load_config
 
 
 def propose(
@@ -21,10 +21,10 @@ def propose(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the new bag.")],
     within: Annotated[
         int, typer.Option(min=0, help="Pairs of each fragment with others of its stage.")
-    ] = 6,
+    ] = ProposalConfig().within,
     across: Annotated[
         int, typer.Option(min=0, help="Pairs of each fragment with others of other stages.")
-    ] = 6,
+    ] = ProposalConfig().across,
     anew: Annotated[
         bool, typer.Option("--anew", help="Forget the pairs that the bag asks for.")
     ] = False,

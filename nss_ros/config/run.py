@@ -24,7 +24,7 @@ class PlayerConfig(Section):
     publish_clock: bool = Field(True, description="Publish bag time on /clock")
     pair_across_bags: bool = Field(
         True,
-        description="With several bags: also ask for every pair of one area between different bags",
+        description="With several bags that ask for pairs: also ask for every pair of one area between different bags",
     )
     max_pending_pairs: int = Field(
         64, ge=0, description="Hold back when this many pairs await an answer; 0: never"
@@ -127,9 +127,23 @@ class RegistrationConfig(Section):
     icp: IcpConfig = IcpConfig()
 
 
+class ProposalConfig(Section):
+    """Pairs that the registration node asks for itself, by a quick look at all."""
+
+    when: Literal["auto", "always", "never"] = Field(
+        "auto", description="auto: if nobody else asks for any pair"
+    )
+    within: int = Field(6, ge=0, description="Pairs of each fragment with others of its stage")
+    across: int = Field(6, ge=0, description="Pairs of each fragment with others of other stages")
+    quiet_time: Positive = Field(
+        3.0, description="Seconds without a new fragment or pair before it looks"
+    )
+
+
 class RegistrationNodeConfig(RegistrationConfig):
     """Registration as a node: what is registered, by how many."""
 
+    proposals: ProposalConfig = ProposalConfig()
     workers: int = Field(0, ge=0, le=256, description="Worker processes; 0: one per processor core")
     fragment_timeout: Positive = Field(
         15.0,

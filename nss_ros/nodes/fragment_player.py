@@ -285,8 +285,10 @@ def _scan(path: Path) -> _Content:
 
 
 def _pairs_across(contents: list[_Content]) -> list[FragmentPair]:
-    """All pairs of one area between bags that no bag asks for itself."""
+    """All pairs of one area between bags that no bag asks for itself; none where no bag asks."""
     asked = {pair for content in contents for pair in content.pairs}
+    if not asked:
+        return []  # then the registration node proposes pairs
     ids = [sorted({FragmentId.parse(name) for name in content.fragments}) for content in contents]
     return [
         pair

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 
@@ -27,12 +28,13 @@ class Progress:
         fragments_total: in the bags.
         pairs_answered: relative transforms seen, failures included.
         pairs_failed: of these, failures.
-        pairs_total: in the bags.
+        pairs_total: in the bags and proposed by the registration node.
         nodes: fragments that the pose graph knows.
         placed: of these, placed in the largest component.
         components: of the placed fragments.
         rms_residual: metres; NaN without accepted edges.
         settled: the pose graph includes everything it received.
+        decided: the registration node has received all fragments and will propose no more pairs.
     """
 
     playing: bool = False
@@ -48,6 +50,7 @@ class Progress:
     rms_residual: float = math.nan
     settled: bool = False
     graph_answered: int = 0
+    decided: bool = False
 
     @property
     def complete(self) -> bool:
@@ -56,6 +59,7 @@ class Progress:
             self.played
             and self.settled
             and self.nodes >= self.fragments_total
+            and self.decided
             and self.graph_answered >= self.pairs_total
         )
 
@@ -70,6 +74,9 @@ class Monitor:
     def __init__(self, namespace: str) -> None:
         self.progress = Progress()
         self._answered: set[tuple[str, str]] = set()
+        self._pairs_in_bags = 0
+        # What each registration node says of itself.
+        self._registration: dict[str, dict[str, int]] = {}
         self._context = Context()
         rclpy.init(context=self._context, signal_handler_options=rclpy.SignalHandlerOptions.NO)
         self._node = rclpy.create_node(
@@ -86,6 +93,7 @@ class Monitor:
                 subscription_qos,
             ),
             (PoseGraphMessage, topics.POSE_GRAPH, self._on_pose_graph, latest_qos),
+            (DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, subscription_qos),
         ):
             self._node.create_subscription(message_type, topic.name, callback, qos(topic))
 
@@ -119,7 +127,25 @@ class Monitor:
         self.progress.played = message.state == PlaybackStatus.STATE_FINISHED
         self.progress.fragments = message.fragments_published
         self.progress.fragments_total = message.fragments_total
-        self.progress.pairs_total = message.pairs_total
+        self._pairs_in_bags = message.pairs_total
+        self._count_pairs()
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        namespace = self._node.get_namespace()
+        for status in message.status:
+            values = {each.key: each.value for each in status.values}
+            if status.name.rpartition("/")[0] == namespace.rstrip("/") and "undecided" in values:
+                names = ("fragments", "proposed", "undecided")
+                self._registration[status.name] = {name: int(values[name]) for name in names}
+        self._count_pairs()
+
+    def _count_pairs(self) -> None:
+        nodes = self._registration.values()
+        self.progress.pairs_total = self._pairs_in_bags + sum(node["proposed"] for node in nodes)
+        self.progress.decided = bool(nodes) and all(
+            node["fragments"] >= self.progress.fragments_total and node["undecided"] == 0
+            for node in nodes
+        )
 
     def _on_answer(self, message: RelativeTransformMessage) -> None:
         pair = (message.source_id, message.target_id)

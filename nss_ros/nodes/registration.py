@@ -1,5 +1,7 @@
 """Node `registration`: answers every fragment pair with one relative transform.
 
+Where nobody asks for pairs, it asks for the most promising ones itself.
+
 Several of these nodes, on any hosts, share the pairs by a hash of the pair (`shard_index` of
 `shard_count`). What it subscribes to holds no ground truth.
 """
@@ -14,14 +16,20 @@ from rclpy.node import Node
 
 from nss_msgs.msg import Fragment as FragmentMessage
 from nss_msgs.msg import FragmentPair as PairMessage
+from nss_msgs.msg import PlaybackStatus, PoseGraphEdge
 from nss_msgs.msg import PoseGraph as PoseGraphMessage
-from nss_msgs.msg import PoseGraphEdge
 from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
 from nss_ros import topics
-from nss_ros.config import RegistrationNodeConfig
+from nss_ros.config import ProposalConfig, RegistrationConfig, RegistrationNodeConfig
 from nss_ros.errors import ConfigError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.messages import fragment_from, pair_from, relative_transform_message, rosidl_family
+from nss_ros.messages import (
+    fragment_from,
+    pair_from,
+    pair_message,
+    relative_transform_message,
+    rosidl_family,
+)
 from nss_ros.nodes.diagnostics import Health, publish_diagnostics
 from nss_ros.nodes.intake import converted
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
@@ -29,6 +37,7 @@ from nss_ros.nodes.qos import latest_qos, publisher_qos, subscription_qos
 from nss_ros.nodes.spin import Background, run_node
 from nss_ros.registration.method import load_method
 from nss_ros.registration.pool import RegistrationPool
+from nss_ros.registration.proposer import Proposer
 from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
 from nss_ros.registration.seed import shard_of
 
@@ -50,6 +59,7 @@ class Registration(Node):
         self._config = declare_parameters(self, RegistrationNodeConfig)
         _check(self._config)
         self._pool = RegistrationPool(self._config, self._config.workers, self._config.memory_limit)
+        self._proposer = Proposer(*_proposing(self._config))
         self._events: SimpleQueue[Event] = SimpleQueue()
         self._fragments: set[FragmentId] = set()
         self._asked: set[FragmentPair] = set()
@@ -65,6 +75,7 @@ class Registration(Node):
     def close(self) -> None:
         """End the workers."""
         self.background.stop()
+        self._proposer.close()
         self._pool.close()
 
     def _create_interface(self) -> None:
@@ -75,10 +86,14 @@ class Registration(Node):
         )
         for message_type, topic, callback, qos in (
             (PoseGraphMessage, topics.POSE_GRAPH, self._on_pose_graph, latest_qos),
+            (PlaybackStatus, topics.PLAYBACK_STATUS, self._on_status, latest_qos),
             (FragmentMessage, topics.FRAGMENTS, self._on_fragment, subscription_qos),
             (PairMessage, topics.FRAGMENT_PAIRS, self._on_pair, subscription_qos),
         ):
             self.create_subscription(message_type, topic.name, callback, qos(topic))
+        self._pairs = self.create_publisher(
+            PairMessage, topics.FRAGMENT_PAIRS.name, publisher_qos(topics.FRAGMENT_PAIRS)
+        )
         publish_diagnostics(self, self._health)
 
     def _on_fragment(self, message: FragmentMessage) -> None:
@@ -88,8 +103,13 @@ class Registration(Node):
 
     def _on_pair(self, message: PairMessage) -> None:
         pair = converted(self, pair_from, message)
-        if pair and shard_of(pair, self._config.shard_count) == self._config.shard_index:
+        if pair is not None:
             self._events.put(pair)
+
+    def _on_status(self, message: PlaybackStatus) -> None:
+        """A player says at its start whether its bags hold pairs."""
+        if message.pairs_total > 0:
+            self._proposer.expect_pairs()
 
     def _on_pose_graph(self, message: PoseGraphMessage) -> None:
         """Remember what was answered, by this node before it was restarted for example."""
@@ -105,12 +125,17 @@ class Registration(Node):
             "pairs": len(self._asked),
             "pairs_open": open_pairs,
             "failures": self._failures,
+            "proposed": self._proposer.proposed,
+            "undecided": self._proposer.undecided,
         }
+        if self._proposer.undecided:
+            return True, f"{self._proposer.undecided} fragments wait for pairs", values
         return True, f"{open_pairs} pairs open" if open_pairs else "idle", values
 
     def _work(self) -> None:
         while not self.background.stopping.is_set():
             self._take_events()
+            self._propose()
             self._give_up_on_incomplete()
             for result in self._pool.poll(_POLL):
                 self._answer(result)
@@ -136,13 +161,16 @@ class Registration(Node):
             )
             return
         self._fragments.add(fragment.id)
-        self._pool.add_fragment(fragment)
+        self._proposer.add_fragment(fragment.id, self._pool.add_fragment(fragment))
         ready = [pair for pair in self._incomplete if self._complete(pair)]
         self._incomplete = [pair for pair in self._incomplete if not self._complete(pair)]
         for pair in ready:
             self._pool.submit(pair)
 
     def _add_pair(self, pair: FragmentPair) -> None:
+        self._proposer.add_pair(pair)
+        if shard_of(pair, self._config.shard_count) != self._config.shard_index:
+            return
         if pair in self._asked or pair in self._answered:
             return
         self._asked.add(pair)
@@ -175,11 +203,26 @@ class Registration(Node):
         stamp = self.get_clock().now().nanoseconds
         self._publisher.publish(relative_transform_message(result, stamp, rosidl_family()))
 
+    def _propose(self) -> None:
+        quiet = time.monotonic() - self._last_arrival
+        for pair in self._proposer.poll(quiet):
+            stamp = self.get_clock().now().nanoseconds
+            self._pairs.publish(pair_message(pair, stamp, rosidl_family()))
+
     def _reconfigure(self, config: RegistrationNodeConfig) -> None:
         if config == self._config:
             return
+        self._proposer.reconfigure(*_proposing(config))
         self._pool.reconfigure(config, config.workers, config.memory_limit)
         self._config = config
+
+
+def _proposing(config: RegistrationNodeConfig) -> tuple[ProposalConfig, RegistrationConfig, int]:
+    """Settings of the proposer; one of the nodes that share the pairs proposes them."""
+    proposals = config.proposals
+    if config.shard_index > 0:
+        proposals = proposals.model_copy(update={"when": "never"})
+    return proposals, config, config.workers
 
 
 def _check(config: RegistrationNodeConfig) -> None:

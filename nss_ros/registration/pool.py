@@ -18,7 +18,7 @@ from pathlib import Path
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.registration.feature_store import FeatureStore, store_fragment
+from nss_ros.registration.feature_store import FeatureStore, fragment_file, store_fragment
 from nss_ros.registration.method import load_method
 from nss_ros.registration.relative_transform import RelativeTransform, worker_died
 from nss_ros.worker_process import stop_now, worker_pool
@@ -55,10 +55,11 @@ class RegistrationPool:
         self._waiting: deque[_Task] = deque()
         self._running: dict[Future[RelativeTransform | None], _Task] = {}
 
-    def add_fragment(self, fragment: Fragment) -> None:
-        """Take a fragment in, voxelised, and have its features computed."""
+    def add_fragment(self, fragment: Fragment) -> Path:
+        """Take a fragment in, voxelised, and have its features computed; the file that holds it."""
         store_fragment(self._directory, fragment, self._config.voxel_size)
         self._waiting.append(_Task(fragment.id))
+        return fragment_file(self._directory, fragment.id)
 
     def submit(self, pair: FragmentPair) -> None:
         """Have a pair registered whose fragments were added before."""

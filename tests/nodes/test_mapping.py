@@ -90,6 +90,28 @@ def test_one_bag_per_stage_in_a_row_gives_one_map(tmp_path, room):
     assert len(result.pose_graph.poses()) == len(room.fragments)
 
 
+def test_a_bag_without_pairs_is_mapped_by_proposed_ones(tmp_path, room):
+    bags = []
+    for stage in (1, 2):
+        bags.append(tmp_path / f"stage_{stage}")
+        write_bag(bags[-1], [f for f in room.fragments if f.id.stage == stage], [])
+    config = load_config(None, SETTINGS)
+    progress = run_mapping(bags, tmp_path / "log", config, registration_nodes=2, timeout=400)
+    result = read_log(tmp_path / "log")
+    assert progress.pairs_total == len(result.pairs) == len(result.relative_transforms) > 0
+    assert {pair.same_stage for pair in result.pairs} == {True, False}
+    poses = result.pose_graph.poses()
+    assert {node.component for node in poses.values()} == {0}
+    assert len(poses) == len(room.fragments)
+
+
+def test_no_pair_is_proposed_where_that_is_not_wanted(tmp_path, room):
+    write_bag(tmp_path / "bag", room.fragments[:2], [])
+    config = load_config(None, [*SETTINGS, "registration.proposals.when=never"])
+    run_mapping([tmp_path / "bag"], tmp_path / "log", config, timeout=400)
+    assert read_log(tmp_path / "log").pairs == ()
+
+
 def test_useless_fragments_are_answered_and_left_out(tmp_path, room):
     one_point = Fragment(FragmentId("1", 1, 90), np.ones((1, 3), np.float32))
     nothing_finite = Fragment(FragmentId("1", 1, 91), np.full((9, 3), np.nan, np.float32))

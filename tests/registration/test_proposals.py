@@ -13,8 +13,8 @@ from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import from_yaw, transform_points
 from nss_ros.registration.gravity.proposals import (
-    block_evidence,
     overlap_evidence,
+    pair_evidence,
     proposed_pairs,
     sketch,
 )
@@ -51,16 +51,10 @@ def test_the_same_place_has_more_evidence_than_any_other(fragments, sketches):
         assert overlap_evidence(own, again) > max(others)
 
 
-def test_the_evidence_of_a_block_is_that_of_its_pairs_of_one_area(sketches):
-    elsewhere = sketches[0].__class__(FragmentId("other", 1, 1), sketches[0].maps)
-    every = sorted([*sketches, elsewhere], key=lambda each: each.id)
-    found = block_evidence((every, every))
-    assert set(found) == {
-        FragmentPair(a.id, b.id) for a, b in combinations(every, 2) if a.id.area == b.id.area
-    }
-    pair = next(iter(found))
-    by_id = {each.id: each for each in every}
-    assert found[pair] == overlap_evidence(by_id[pair.source], by_id[pair.target])
+def test_the_evidence_of_pairs_is_that_of_each(sketches):
+    every = list(combinations(sorted(sketches, key=lambda each: each.id), 2))
+    found = pair_evidence(every)
+    assert found == {FragmentPair(a.id, b.id): overlap_evidence(a, b) for a, b in every}
 
 
 @pytest.mark.parametrize(
@@ -98,6 +92,13 @@ def test_each_fragment_gets_its_best_pairs_and_the_number_grows_with_the_fragmen
             own = [p for p in PAIRS if id_ in (p.source, p.target) and p.same_stage == same]
             best = sorted(own, key=lambda p: (-evidence[p], p))[:most]
             assert set(best) <= set(chosen)
+
+
+def test_only_those_that_ask_get_pairs():
+    evidence = {pair: float(number % 7) for number, pair in enumerate(PAIRS)}
+    chosen = proposed_pairs(evidence, 2, 2, {IDS[0]})
+    assert len(chosen) == 4
+    assert all(IDS[0] in (pair.source, pair.target) for pair in chosen)
 
 
 def test_the_order_of_the_evidence_does_not_matter():

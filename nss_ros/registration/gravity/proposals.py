@@ -8,7 +8,7 @@ with that of pairs. Ground truth is never looked at.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,22 +62,20 @@ def overlap_evidence(source: Sketch, target: Sketch) -> float:
         return float(scores.logsumexp(dim=0)) - math.log(len(scores))
 
 
-def block_evidence(
-    block: tuple[Sequence[Sketch], Sequence[Sketch]],
-) -> dict[FragmentPair, float]:
-    """The evidence of all pairs of an earlier and a later fragment of one area."""
+def pair_evidence(pairs: Sequence[tuple[Sketch, Sketch]]) -> dict[FragmentPair, float]:
+    """The evidence of pairs, each a source and a target."""
     torch.set_num_threads(1)
-    sources, targets = block
     return {
         FragmentPair(source.id, target.id): overlap_evidence(source, target)
-        for source in sources
-        for target in targets
-        if source.id < target.id and source.id.area == target.id.area
+        for source, target in pairs
     }
 
 
 def proposed_pairs(
-    evidence: Mapping[FragmentPair, float], within: int, across: int
+    evidence: Mapping[FragmentPair, float],
+    within: int,
+    across: int,
+    of: Container[FragmentId] | None = None,
 ) -> list[FragmentPair]:
     """For each fragment the pairs with the most evidence, in canonical order.
 
@@ -85,6 +83,7 @@ def proposed_pairs(
         evidence: of pairs.
         within: pairs of each fragment with others of its stage.
         across: pairs of each fragment with others of other stages.
+        of: the fragments that get pairs; None: all.
     """
     ranked = sorted(evidence, key=lambda pair: (-evidence[pair], pair))
     counts: dict[tuple[FragmentId, bool], int] = {}
@@ -93,7 +92,7 @@ def proposed_pairs(
         most = within if pair.same_stage else across
         for end in (pair.source, pair.target):
             key = (end, pair.same_stage)
-            if counts.get(key, 0) < most:
+            if (of is None or end in of) and counts.get(key, 0) < most:
                 counts[key] = counts.get(key, 0) + 1
                 chosen.add(pair)
     return sorted(chosen)
