@@ -69,7 +69,10 @@ def widest_view(site: Site) -> View:
 def _sight(
     site: Site, stage: int, eyes: NDArray[np.float64], headings: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """How far one sees, metres: (places, headings, fan); 0 where there is no floor to stand on."""
+    """How far one sees, metres: (places, headings, fan); 0 where there is no floor to stand on.
+
+    What leaves the site shows nothing and counts as little as may be.
+    """
     scene = Scene(site.stage_mesh(stage).mesh)
     below = scene.cast(eyes, np.broadcast_to((0.0, 0.0, -1.0), eyes.shape)).distances
     stands = np.abs(below - EYE_HEIGHT) < _FLOOR_TOLERANCE
@@ -77,5 +80,6 @@ def _sight(
     fan = np.stack((np.cos(angles), np.sin(angles), np.zeros_like(angles)), axis=-1).reshape(-1, 3)
     origins = np.repeat(eyes, len(fan), axis=0)
     distances = scene.cast(origins, np.tile(fan, (len(eyes), 1))).distances
-    sight = np.minimum(distances, _FAR).reshape(len(eyes), len(headings), len(_FAN))
+    sight = np.where(np.isfinite(distances), np.minimum(distances, _FAR), _NEAREST)
+    sight = sight.reshape(len(eyes), len(headings), len(_FAN))
     return np.where(stands[:, None, None], sight, 0.0).astype(np.float64)

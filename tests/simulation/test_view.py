@@ -31,6 +31,11 @@ def test_the_view_goes_where_there_is_most_room_at_the_worst_stage():
     assert view.heading in np.arange(16) * 22.5
 
 
+def test_one_does_not_look_out_of_the_site():
+    view = widest_view(site(wall(-0.2, (1, 2)), *SIDES))  # open at the right
+    assert np.cos(np.radians(view.heading)) < 0.5
+
+
 def test_changes_are_looked_at():
     view = widest_view(site(wall(-0.2, (1, 2)), wall(20, (1, 2)), wall(12, (2,)), *SIDES))
     ahead = np.cos(np.radians(view.heading)) * (12 - view.eye[0])
