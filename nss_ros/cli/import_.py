@@ -20,6 +20,7 @@ from nss_ros.dataset.challenge_folder import (
     read_folder,
     read_fragment,
 )
+from nss_ros.dataset.levelness import look_levelled
 from nss_ros.dataset.manifest import MANIFEST_NAME, read_manifest
 from nss_ros.dataset.release import Release, is_release, read_release
 from nss_ros.dataset.release_import import as_challenge, as_dataset
@@ -27,6 +28,13 @@ from nss_ros.dataset.splits import SETS
 from nss_ros.errors import FormatError, InputError
 from nss_ros.fragment import Fragment
 from nss_ros.multiway.pose_graph import NodeStatus
+
+_LOOKED = {
+    True: "They look like scans of a levelled tripod, so yaw and translation are searched only; "
+    "--not-gravity-aligned says that they are not.",
+    False: "They do not look like scans of a levelled tripod with the sensor at the origin, so any "
+    "rotation is searched, which finds less; --gravity-aligned says that they are.",
+}
 
 
 class Kind(StrEnum):
@@ -69,8 +77,12 @@ def import_folder(
         ),
     ] = PairChoice.AUTO,
     gravity_aligned: Annotated[
-        bool, typer.Option("--gravity-aligned", help="State that z points up in every fragment.")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--gravity-aligned/--not-gravity-aligned",
+            help="Whether z points up in every fragment; else told by the floors in some of them.",
+        ),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
     kind: Annotated[
         Kind, typer.Option("--as", help="Of a release: a bag to map, or a dataset folder.")
@@ -96,10 +108,12 @@ def import_folder(
     """
     if folder.is_dir() and is_release(folder):
         release = read_release(folder)
-        own = release.manifest is not None and release.manifest.gravity_aligned
-        gravity_aligned = gravity_aligned or own
+        if gravity_aligned is None and release.manifest is not None:
+            gravity_aligned = release.manifest.gravity_aligned
         if kind is Kind.DATASET:
-            _import_dataset(release, output, gravity_aligned, json)
+            files = list(release.point_files.items())
+            level = look_levelled(files) if gravity_aligned is None else gravity_aligned
+            _import_dataset(release, output, level, json)
             return
         chosen = [str(name) for name in sets] if sets else list(SETS)
         challenge = as_challenge(release, split, chosen, multiway, graph)
@@ -112,8 +126,11 @@ def import_folder(
             )
         challenge = read_folder(folder, graph, pairs)
         layout = "challenge folder"
-    if (folder / MANIFEST_NAME).exists():  # one of our own datasets, which says it itself
-        gravity_aligned = gravity_aligned or read_manifest(folder).gravity_aligned
+    if gravity_aligned is None and (folder / MANIFEST_NAME).exists():  # of ours, and says it
+        gravity_aligned = read_manifest(folder).gravity_aligned
+    looked = gravity_aligned is None
+    if gravity_aligned is None:
+        gravity_aligned = look_levelled(list(challenge.point_files.items()))
     fragments = _Fragments(challenge, gravity_aligned, quiet=json, strict=layout == "release")
     metadata = {"source": f"NSS {layout} {folder.resolve().name}"}
     write_bag(
@@ -123,7 +140,7 @@ def import_folder(
         challenge.ground_truth,
         metadata | challenge.metadata(),
     )
-    summary = _summary(challenge, fragments, output)
+    summary = _summary(challenge, fragments, output) | {"gravity_aligned": gravity_aligned}
     if json:
         print_json(summary)
         return
@@ -138,6 +155,8 @@ def import_folder(
     )
     if fragments.dropped:
         console.print(f"Left out {fragments.dropped} points with non-finite coordinates.")
+    if looked:
+        console.print(_LOOKED[gravity_aligned], soft_wrap=True)
     console.print(f"Bag: {output}", soft_wrap=True, highlight=False)
 
 

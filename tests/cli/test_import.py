@@ -1,5 +1,6 @@
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ from nss_ros.bag import read_log
 from nss_ros.cli.import_ import import_folder
 from nss_ros.dataset.challenge import read_graphs
 from nss_ros.dataset.challenge_folder import METADATA_KEY
+from nss_ros.dataset.ply import write_ply
 from nss_ros.errors import FormatError
 from nss_ros.geometry import as_transform
+
+BAG = Path(__file__).parents[2] / "bags" / "three_stages"
 
 app = typer.Typer()
 app.command()(import_folder)
@@ -38,6 +42,7 @@ def test_red_kitchen(shared_data, tmp_path):
         "placed": 6,
         "edges": 13,
     }
+    assert not summary["gravity_aligned"]
     assert summary["points"] == 28767 + 29257 + 30192 + 28458 + 30481 + 29837
 
     log = read_log(tmp_path / "bag")
@@ -52,6 +57,29 @@ def test_red_kitchen(shared_data, tmp_path):
     for edge, original in zip(truth.edges, graph.edges, strict=True):
         assert_same_transform(edge.T_target_source, original.transform)
         assert edge.overlap_ratio == original.overlap_ratio
+
+
+@pytest.mark.parametrize(
+    ("options", "level"),
+    [([], True), (["--not-gravity-aligned"], False), (["--gravity-aligned"], True)],
+)
+def test_scans_that_are_levelled_are_told_by_their_floors(tmp_path, options, level):
+    log = read_log(BAG)
+    (tmp_path / "scans" / "point_cloud").mkdir(parents=True)
+    nodes = []
+    for number, (id_, fragment) in enumerate(list(log.fragments.items())[:3]):
+        columns = dict(zip("xyz", fragment.points.T, strict=True))
+        write_ply(tmp_path / "scans" / "point_cloud" / f"{id_}.ply", columns)
+        nodes.append({"id": number, "name": f"{id_}.ply"})
+    graph = {"name": "Bldg1_Graph1", "nodes": nodes, "edges": []}
+    (tmp_path / "scans" / "pose_graph").mkdir()
+    (tmp_path / "scans" / "pose_graph" / "Bldg1_Graph1.json").write_text(json.dumps([graph]))
+    arguments = [str(tmp_path / "scans"), "-o", str(tmp_path / "bag"), *options]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    assert ("look like scans of a levelled tripod" in result.output) == (not options)
+    back = read_log(tmp_path / "bag")
+    assert {fragment.gravity_aligned for fragment in back.fragments.values()} == {level}
 
 
 def test_ground_truth_is_in_its_own_topic_only(shared_data, tmp_path):

@@ -1,0 +1,64 @@
+"""Whether a fragment looks like a scan of a levelled tripod, told by what should be level in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+from numpy.typing import NDArray
+
+from nss_ros.dataset.challenge_folder import read_fragment
+from nss_ros.fragment import FragmentId, Points, clean_points, voxelize
+
+_VOXEL_SIZE, _NEIGHBOURS = 0.1, 20
+# Surfaces tilted by more than this, radians, are no floors; the axis is found again among those
+# that are near it.
+_LEVEL, _NEAR = np.radians(12.0), np.radians(4.0)
+# Least share of the points that lies on level surfaces, and on a floor below the sensor.
+_LEAST_LEVEL, _LEAST_FLOOR = 0.1, 0.03
+_FLOOR_BELOW = 0.5  # the sensor stands at least this high above a floor, metres
+_MOST_TILT = np.radians(2.0)
+_LOOKED_AT, _MOST_OF_THEM = 24, 0.8
+
+
+def looks_levelled(points: Points) -> bool:
+    """Whether z points up, within about two degrees, and the origin is above a floor.
+
+    A levelled scan has a floor below its sensor, and level surfaces share a direction. In a frame
+    turned at random hardly any surface is that close to level.
+
+    Args:
+        points: (n, 3), metres, sensor frame.
+    """
+    cloud = voxelize(clean_points(points), _VOXEL_SIZE)
+    if len(cloud) < 100:
+        return False
+    normals = _normals(cloud)
+    axis = np.array([0.0, 0.0, 1.0])
+    for reach in (_LEVEL, _LEVEL, _NEAR):
+        level = np.abs(normals @ axis) > np.cos(reach)
+        if level.mean() < _LEAST_LEVEL:
+            return False
+        axis = np.linalg.eigh(normals[level].T @ normals[level])[1][:, -1]
+    floor = level & (cloud[:, 2] < -_FLOOR_BELOW)
+    tilt = np.arccos(min(abs(float(axis[2])), 1.0))
+    return bool(tilt < _MOST_TILT and floor.mean() > _LEAST_FLOOR)
+
+
+def look_levelled(files: Sequence[tuple[FragmentId, Path]]) -> bool:
+    """Whether nearly all of some of the fragments of PLY files look levelled.
+
+    Raises:
+        FormatError: a file is not valid, or holds no finite point.
+    """
+    some = files[:: max(1, -(-len(files) // _LOOKED_AT))]
+    levelled = [looks_levelled(read_fragment(id_, file, True)[0].points) for id_, file in some]
+    return len(levelled) > 0 and float(np.mean(levelled)) >= _MOST_OF_THEM
+
+
+def _normals(points: Points) -> NDArray[np.float64]:
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
+    return np.asarray(cloud.normals)

@@ -1,0 +1,78 @@
+"""Levelled scans of the bundled bag, and the same turned over."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from nss_ros.bag import read_log
+from nss_ros.dataset.levelness import look_levelled, looks_levelled
+from nss_ros.dataset.ply import write_ply
+from nss_ros.fragment import FragmentId
+
+BAG = Path(__file__).parents[2] / "bags" / "three_stages"
+
+
+@pytest.fixture(scope="module")
+def scans():
+    return [each.points for each in read_log(BAG).fragments.values()]
+
+
+def write(file, points):
+    write_ply(file, dict(zip("xyz", points.T, strict=True)))
+
+
+def turned(points, rotation):
+    return (points @ rotation.as_matrix().T).astype(np.float32)
+
+
+def test_scans_of_a_tripod_look_levelled_whatever_their_heading(scans):
+    for number, points in enumerate(scans[::4]):
+        assert looks_levelled(points)
+        assert looks_levelled(turned(points, Rotation.from_euler("z", 40 * number, degrees=True)))
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000))
+def test_in_a_random_frame_they_do_not(scans, seed):
+    rotation = Rotation.random(random_state=seed)
+    points = scans[seed % len(scans)]
+    tilt = np.degrees(np.arccos(abs(rotation.as_matrix()[2, 2])))
+    sideways = np.degrees(np.arccos(np.abs(rotation.as_matrix()[2, :2]).max()))
+    if min(tilt, sideways) > 5:  # neither the floor nor a wall is about level
+        assert not looks_levelled(turned(points, rotation))
+
+
+def test_a_tilt_of_some_degrees_is_not_level(scans):
+    tilted = [turned(each, Rotation.from_euler("x", 4, degrees=True)) for each in scans[::6]]
+    assert not any(map(looks_levelled, tilted))
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        np.zeros((0, 3), np.float32),
+        np.ones((1, 3), np.float32),
+        np.full((500, 3), np.nan, np.float32),
+        np.random.default_rng(0).normal(0, 2, (5000, 3)).astype(np.float32),
+    ],
+    ids=["none", "one point", "not finite", "noise"],
+)
+def test_what_says_nothing_does_not_look_levelled(points):
+    assert not looks_levelled(points)
+
+
+def test_a_few_that_do_not_look_it_do_not_matter(tmp_path, scans):
+    files = []
+    for number, points in enumerate(scans[:6]):
+        file = tmp_path / f"{number}.ply"
+        write(file, points[:50] if number == 3 else points)
+        files.append((FragmentId("1", 1, number), file))
+    assert look_levelled(files)
+    for _, file in files[:2]:
+        write(file, scans[0][:50])
+    assert not look_levelled(files)
+    assert not look_levelled([])
