@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.geometry import Transform, from_yaw, inverse, relative, rotation_angle, tilt_angle
 from nss_ros.icp import Refined, Surface, moved_by, refine
 from nss_ros.registration.gravity.agreement import WallView, agreement
+from nss_ros.registration.gravity.height import Levels, height_between
 from nss_ros.registration.gravity.raster import Floor
 from nss_ros.registration.gravity.scan import LevelScan
 from nss_ros.registration.gravity.search import Peak, Search
@@ -31,11 +30,6 @@ _MOST_TRANSLATION, _MOST_ROTATION = 0.25, np.radians(5)
 _PEAK_COVARIANCE = np.diag(
     [0.1**2, 0.1**2, 0.03**2, *[np.radians(0.3) ** 2] * 2, np.radians(1.5) ** 2]
 )
-_LEVEL_NORMAL = 0.8
-_HEIGHT_POINTS = 400
-# Level surfaces are matched across, with heights counting less.
-_HEIGHT_WEIGHT = 0.2
-_HEIGHT_REACH, _HEIGHT_BIN = 0.4, 0.04
 
 Array = NDArray[np.float64]
 
@@ -74,8 +68,7 @@ class Shape:
         thin: some of the points.
         coarse: some more.
         moderate: more of the points.
-        levels: (n, 4) float64, x, y, weighted z, and whether it faces up, of level surfaces.
-        level_tree: search tree of `levels`.
+        levels: its level surfaces.
         view: what its scanner saw.
     """
 
@@ -84,29 +77,20 @@ class Shape:
     thin: Surface
     coarse: Surface
     moderate: Surface
-    levels: Array
-    level_tree: Any
+    levels: Levels
     view: WallView
 
     @classmethod
     def of(cls, scan: LevelScan, config: RegistrationConfig) -> Shape:
         """The shape of a prepared fragment."""
         normals = scan.normals
-        level = np.abs(normals[:, 2]) > _LEVEL_NORMAL
-        columns = (
-            scan.points[level, :2],
-            _HEIGHT_WEIGHT * scan.points[level, 2:],
-            10.0 * (normals[level, 2:] > 0),
-        )
-        levels = np.hstack(columns).astype(np.float64)
         return cls(
             scan.floor,
             Surface.of(scan.points, normals),
             Surface.sample(scan.points, normals, _THIN_POINTS),
             Surface.sample(scan.points, normals, COARSE_POINTS),
             Surface.sample(scan.points, normals, config.icp.max_points),
-            levels,
-            cKDTree(levels),
+            Levels.of(scan.points, normals, scan.floor.height),
             WallView.of(scan.points, normals),
         )
 
@@ -141,7 +125,7 @@ def aligned(source: Shape, target: Shape, peak: Peak, config: RegistrationConfig
     the width of the next stud or frame, to which a wider ICP would slip.
     """
     start = from_yaw(peak.yaw, (peak.x, peak.y, 0.0))
-    start[2, 3] = _height(source, target, start)
+    start[2, 3] = height_between(source.levels, target.levels, start)
     return Alignment(
         peak, refined_near(source.coarse, source.moderate, target.surface, start, config)
     )
@@ -244,36 +228,3 @@ def _inlier_share(source: Shape, target: Shape, transform: Transform, tau: float
     moved = moved_by(inverse(transform), target.thin.points)
     distances, _ = source.surface.tree.query(moved, distance_upper_bound=tau)
     return float(np.isfinite(distances).mean())
-
-
-def _height(source: Shape, target: Shape, T_target_source: Transform) -> float:
-    """Height of the alignment: of the floors, or better what most level surfaces agree on.
-
-    Floors rise between stages (screed, raised floors), and ceilings come down.
-    """
-    floors = target.floor.height - source.floor.height
-    step = max(len(source.levels) // _HEIGHT_POINTS, 1)
-    moving = source.levels[::step]
-    if len(moving) == 0 or len(target.levels) == 0:
-        return floors
-    c, s = T_target_source[0, 0], T_target_source[1, 0]
-    x, y = moving[:, 0], moving[:, 1]
-    moved = np.column_stack(
-        (
-            c * x - s * y + T_target_source[0, 3],
-            s * x + c * y + T_target_source[1, 3],
-            moving[:, 2] + _HEIGHT_WEIGHT * floors,
-            moving[:, 3],
-        )
-    )
-    distances, nearest = target.level_tree.query(moved, distance_upper_bound=0.25)
-    found = np.isfinite(distances)
-    differences = (target.levels[nearest[found], 2] - moved[found, 2]) / _HEIGHT_WEIGHT
-    edges = np.arange(-_HEIGHT_REACH, _HEIGHT_REACH + _HEIGHT_BIN, _HEIGHT_BIN)
-    counts, _ = np.histogram(differences, edges)
-    if counts.sum() < 10:
-        return floors
-    counts = np.convolve(counts, (1, 2, 1), mode="same")
-    centre = edges[int(np.argmax(counts))] + _HEIGHT_BIN / 2
-    near = np.abs(differences - centre) < _HEIGHT_BIN
-    return floors + float(np.median(differences[near])) if near.any() else floors
