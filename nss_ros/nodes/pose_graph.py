@@ -12,6 +12,7 @@ from concurrent.futures import Future as SolutionFuture
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
@@ -28,7 +29,7 @@ from nss_msgs.msg import PoseGraph as PoseGraphMessage
 from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
 from nss_msgs.srv import AddConstraint, MapFile, RemoveConstraint
 from nss_ros import topics
-from nss_ros.config import PoseGraphConfig, RegistrationConfig
+from nss_ros.config import MultiwayConfig, PoseGraphConfig, RegistrationConfig
 from nss_ros.errors import BagError, FormatError, InputError, NssError, RunError
 from nss_ros.fragment import Fragment
 from nss_ros.geometry import to_quaternion
@@ -75,6 +76,9 @@ class PoseGraphNode(Node):
         self._lock = threading.Lock()
         self._map = self._new_map()
         self._graph = PoseGraph(synchronizer=self._config.synchronizer)
+        # The last solution with all that the synchronizer can use: quick ones go on from it.
+        self._known: PoseGraph | None = None
+        self._known_counts = True
         self._fragments_in: SimpleQueue[Fragment] = SimpleQueue()
         self._waiting_for_optimum: list[threading.Event] = []
         self._solved_version = 0
@@ -138,10 +142,16 @@ class PoseGraphNode(Node):
 
     def _apply(self, config: PoseGraphConfig) -> None:
         with self._lock:
+            if _multiway(config) != _multiway(self._config):
+                self._forget_known()
             self._config = config
             self._takes_points = _takes_points(config)
             self._map.version += 1
             self._changed()
+
+    def _forget_known(self) -> None:
+        """Neither the last thorough solution counts any more, nor one that is being made."""
+        self._known, self._known_counts = None, False
 
     def _changed(self) -> None:
         self._last_change = time.monotonic()
@@ -280,6 +290,7 @@ class PoseGraphNode(Node):
             self._map = self._new_map()
             self._map.version = version + 1
             self._forgotten = True
+            self._forget_known()
             self._changed()
         response.success = True
         response.message = "Forgot all fragments, relative transforms and constraints."
@@ -369,7 +380,9 @@ class PoseGraphNode(Node):
                 sorted(self._map.fragments),
                 self._map.measurements(),
                 self._map.unused_edges(),
+                self._known,
             )
+            self._known_counts = True
             fragments = dict(self._map.fragments)
             self._solving_for, self._waiting_for_optimum = self._waiting_for_optimum, []
         self._solving_thoroughly = thoroughly
@@ -395,6 +408,8 @@ class PoseGraphNode(Node):
         with self._lock:
             self._graph, self._solved_version = graph, self._solving_version
             self._solved_thoroughly = self._solving_thoroughly
+            if self._solving_thoroughly and self._known_counts:
+                self._known = graph
         self._publish_graph()
         self._publish_map()
         for done in self._solving_for:
@@ -463,6 +478,11 @@ class PoseGraphNode(Node):
             self._stage_clouds[stage].publish(cloud_message(columns, frame, stamp, family))
         columns = dict(zip("xyz", points.T, strict=True)) | {"stage": stages}
         self._map_cloud.publish(cloud_message(columns, frame, stamp, family))
+
+
+def _multiway(config: PoseGraphConfig) -> dict[str, Any]:
+    """The settings that decide what a solution is."""
+    return config.model_dump(include=set(MultiwayConfig.model_fields))
 
 
 def _takes_points(config: PoseGraphConfig) -> bool:

@@ -1,0 +1,174 @@
+"""The node pose_graph while fragments and answers come in, of the bundled bag."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("nss_msgs.msg")
+
+from std_srvs.srv import Trigger
+
+from nss_msgs.msg import Fragment, FragmentPair, PoseGraph, RelativeTransform
+from nss_msgs.srv import AddConstraint, RemoveConstraint
+from nss_ros import fragment, topics
+from nss_ros.bag import read_log
+from nss_ros.geometry import from_yaw, relative
+from nss_ros.messages import (
+    fragment_message,
+    pair_message,
+    pose_from,
+    pose_message,
+    relative_transform_message,
+    rosidl_family,
+)
+from nss_ros.nodes.qos import publisher_qos
+from nss_ros.registration import relative_transform
+
+pytestmark = pytest.mark.ros
+
+_BAG = Path(__file__).parents[2] / "bags" / "three_stages"
+_SUBMAP = 3
+
+
+class Feed:
+    """Publishes fragments of the bag, pairs, and answers of its own making to a graph."""
+
+    def __init__(self, graph):
+        log = read_log(_BAG)
+        (truth,) = log.ground_truth
+        self.fragments, self.pairs = log.fragments, log.pairs
+        self.poses = {id_: node.T_map_fragment for id_, node in truth.poses().items()}
+        self._publishers = {
+            topic: graph.node.create_publisher(kind, topic.name, publisher_qos(topic))
+            for kind, topic in (
+                (Fragment, topics.FRAGMENTS),
+                (FragmentPair, topics.FRAGMENT_PAIRS),
+                (RelativeTransform, topics.RELATIVE_TRANSFORMS),
+            )
+        }
+        self._family = rosidl_family()
+
+    def ids(self, stage, *spots):
+        return [fragment.FragmentId("1", stage, spot) for spot in spots]
+
+    def asked(self, ids):
+        return [pair for pair in self.pairs if {pair.source, pair.target} <= set(ids)]
+
+    def truth(self, pair):
+        return relative(self.poses[pair.source], self.poses[pair.target])
+
+    def give(self, ids):
+        for id_ in ids:
+            message = fragment_message(self.fragments[id_], 1, self._family)
+            self._publishers[topics.FRAGMENTS].publish(message)
+
+    def ask(self, pairs):
+        for pair in pairs:
+            self._publishers[topics.FRAGMENT_PAIRS].publish(pair_message(pair, 1, self._family))
+
+    def answer(self, pair, right=True):
+        transform = self.truth(pair)
+        if not right:
+            transform = transform @ from_yaw(2.0, (3.0, -1.0, 0.0))
+        answer = relative_transform.RelativeTransform(
+            pair, "test", transform, np.eye(6) * 1e-4, confidence=0.7, inliers=1000
+        )
+        message = relative_transform_message(answer, 1, self._family)
+        self._publishers[topics.RELATIVE_TRANSFORMS].publish(message)
+
+
+def names(pair):
+    return str(pair.source), str(pair.target)
+
+
+def submap_edges(message):
+    return {(e.source_id, e.target_id) for e in message.edges if e.kind == _SUBMAP}
+
+
+def status(message, pair):
+    """Of its answer."""
+    (edge,) = (
+        e for e in message.edges if (e.source_id, e.target_id) == names(pair) and e.kind in (0, 1)
+    )
+    return edge.status
+
+
+def places(message):
+    poses = {n.id: pose_from(n.pose)[0] for n in message.nodes if n.status == 1}
+    first = poses[min(poses)]
+    return {id_: relative(pose, first) for id_, pose in poses.items()}
+
+
+@pytest.fixture
+def live(graph):
+    """A settled map of two stages, in which one answer is wrong; its feed, answers and graphs."""
+    feed = Feed(graph)
+    old = [*feed.ids(1, 1, 2, 4, 6), *feed.ids(2, 4, 5, 6)]
+    pairs = feed.asked(old)[::2]
+    graphs = graph.listen(topics.POSE_GRAPH, PoseGraph)
+    graph.start("pose_graph")
+    feed.give(old)
+    feed.ask(pairs)
+    for number, pair in enumerate(pairs):
+        feed.answer(pair, right=number > 0)
+    graph.wait(lambda: graphs and graphs[-1].settled and graphs[-1].pairs_answered == len(pairs))
+    assert submap_edges(graphs[-1])
+    assert [status(graphs[-1], pair) for pair in pairs] == [1] + [0] * (len(pairs) - 1)
+    return feed, old, pairs, graphs
+
+
+def test_a_settled_map_stays_while_a_stage_comes_in(graph, live):
+    feed, old, pairs, graphs = live
+    settled = graphs[-1]
+    new = feed.ids(3, 3, 4)
+    fresh = [pair for pair in feed.asked([*old, *new]) if {pair.source, pair.target} & {*new}]
+    # One is never answered, so that the map does not settle.
+    feed.ask(fresh)
+    feed.give(new)
+    for pair in fresh[1:]:
+        feed.answer(pair)
+    graph.wait(lambda: graphs[-1].pairs_answered == len(pairs) + len(fresh) - 1)
+    graph.wait(lambda: {str(id_) for id_ in new} <= places(graphs[-1]).keys())
+    for message in graphs[graphs.index(settled) :]:
+        assert submap_edges(message) == submap_edges(settled)
+        assert status(message, pairs[0]) == 1
+        now, before = places(message), places(settled)
+        moved = [np.linalg.norm((now[id_] - before[id_])[:3, 3]) for id_ in before]
+        assert max(moved) < 0.05
+
+    # A person has the last word, here and now.
+    excluded, given = pairs[1], pairs[2]
+    removed = graph.call(
+        RemoveConstraint,
+        "/pose_graph/remove_constraint",
+        **dict(zip(("source_id", "target_id"), names(excluded), strict=True)),
+    )
+    assert removed.code == RemoveConstraint.Response.OK
+    graph.wait(lambda: status(graphs[-1], excluded) == 1)
+    assert submap_edges(graphs[-1])
+    elsewhere = feed.truth(given) @ from_yaw(0.8, (3.0, 2.0, 0.0))
+    added = graph.call(
+        AddConstraint,
+        "/pose_graph/add_constraint",
+        **dict(zip(("source_id", "target_id"), names(given), strict=True)),
+        pose=pose_message(elsewhere, np.eye(6) * 1e-4, rosidl_family()),
+    )
+    assert added.code == AddConstraint.Response.OK
+    graph.wait(lambda: any(edge.kind == 2 for edge in graphs[-1].edges))
+    now = places(graphs[-1])
+    found = relative(now[names(given)[0]], now[names(given)[1]])
+    assert np.linalg.norm((found - elsewhere)[:3, 3]) < 0.1
+
+
+def test_nothing_stays_after_a_reset(graph, live):
+    feed, old, pairs, graphs = live
+    assert graph.call(Trigger, "/pose_graph/reset").success
+    graph.wait(lambda: not graphs[-1].nodes)
+    feed.ask([feed.pairs[-1]])
+    feed.give(old)
+    for pair in pairs:
+        feed.answer(pair)
+    graph.wait(lambda: len(graphs[-1].edges) == len(pairs))
+    assert [status(graphs[-1], pair) for pair in pairs] == [0] * len(pairs)
+    assert not submap_edges(graphs[-1])
