@@ -17,7 +17,6 @@ from typing import Any
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
@@ -35,7 +34,6 @@ from nss_ros.fragment import Fragment
 from nss_ros.geometry import to_quaternion
 from nss_ros.messages import (
     GraphProgress,
-    cloud_message,
     fragment_from,
     fragment_poses_message,
     pair_from,
@@ -45,12 +43,13 @@ from nss_ros.messages import (
     rosidl_family,
 )
 from nss_ros.multiway.map_file import load_map, save_map
-from nss_ros.multiway.multi_stage_map import MultiStageMap, map_points
+from nss_ros.multiway.multi_stage_map import MultiStageMap
 from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
 from nss_ros.multiway.solver import Problem, Solver
 from nss_ros.multiway.synchronizer import PointSynchronizer, load_synchronizer
 from nss_ros.nodes.diagnostics import Health, publish_diagnostics
 from nss_ros.nodes.intake import converted
+from nss_ros.nodes.map_publisher import MapPublisher
 from nss_ros.nodes.markers import graph_markers
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
 from nss_ros.nodes.qos import publisher_qos, subscription_qos
@@ -115,8 +114,7 @@ class PoseGraphNode(Node):
 
         self._pose_graph = publisher(PoseGraphMessage, topics.POSE_GRAPH)
         self._poses = publisher(FragmentPoses, topics.FRAGMENT_POSES)
-        self._map_cloud = publisher(PointCloud2, topics.MAP)
-        self._stage_clouds: dict[int, Publisher] = {}
+        self._map_publisher = MapPublisher(self)
         self._markers = publisher(MarkerArray, topics.MARKERS)
         self._tf = publisher(TFMessage, topics.TF)
         self.create_timer(_TF_PERIOD, self._publish_tf)
@@ -321,6 +319,7 @@ class PoseGraphNode(Node):
                 self._begin_solution()
             elif self._quiet() and not self._settled and not self._outdated():
                 self._settled = True
+                self._publish_map()
                 self._publish_graph()
                 self._log_progress()
             self.background.stopping.wait(_POLL)
@@ -465,19 +464,7 @@ class PoseGraphNode(Node):
     def _publish_map(self) -> None:
         with self._lock:
             fragments = dict(self._map.fragments)
-        points, stages = map_points(fragments, self._graph, self._config.map_voxel_size)
-        stamp, frame, family = self._stamp(), self._config.map_frame, rosidl_family()
-        for stage in {int(value) for value in set(stages.tolist())} | set(self._stage_clouds):
-            if stage not in self._stage_clouds:
-                topic = topics.stage_map(stage)
-                self._stage_clouds[stage] = self.create_publisher(
-                    PointCloud2, topic.name, publisher_qos(topic)
-                )
-            own = points[stages == stage]
-            columns = dict(zip("xyz", own.T, strict=True)) | {"stage": stages[stages == stage]}
-            self._stage_clouds[stage].publish(cloud_message(columns, frame, stamp, family))
-        columns = dict(zip("xyz", points.T, strict=True)) | {"stage": stages}
-        self._map_cloud.publish(cloud_message(columns, frame, stamp, family))
+        self._map_publisher.publish(fragments, self._graph, self._config, self._settled)
 
 
 def _multiway(config: PoseGraphConfig) -> dict[str, Any]:

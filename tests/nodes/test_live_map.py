@@ -7,21 +7,29 @@ import pytest
 
 pytest.importorskip("nss_msgs.msg")
 
+from scipy.spatial import cKDTree
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
-from nss_msgs.msg import Fragment, FragmentPair, PoseGraph, RelativeTransform
+from nss_msgs.msg import Fragment as FragmentMessage
+from nss_msgs.msg import FragmentPair as PairMessage
+from nss_msgs.msg import PoseGraph, RelativeTransform
 from nss_msgs.srv import AddConstraint, RemoveConstraint
-from nss_ros import fragment, topics
+from nss_ros import topics
 from nss_ros.bag import read_log
+from nss_ros.fragment import Fragment, FragmentId, voxelize
 from nss_ros.geometry import from_yaw, relative
 from nss_ros.messages import (
     fragment_message,
     pair_message,
+    points_from,
     pose_from,
+    pose_graph_from,
     pose_message,
     relative_transform_message,
     rosidl_family,
 )
+from nss_ros.multiway.multi_stage_map import map_points
 from nss_ros.nodes.qos import publisher_qos
 from nss_ros.registration import relative_transform
 
@@ -42,15 +50,15 @@ class Feed:
         self._publishers = {
             topic: graph.node.create_publisher(kind, topic.name, publisher_qos(topic))
             for kind, topic in (
-                (Fragment, topics.FRAGMENTS),
-                (FragmentPair, topics.FRAGMENT_PAIRS),
+                (FragmentMessage, topics.FRAGMENTS),
+                (PairMessage, topics.FRAGMENT_PAIRS),
                 (RelativeTransform, topics.RELATIVE_TRANSFORMS),
             )
         }
         self._family = rosidl_family()
 
     def ids(self, stage, *spots):
-        return [fragment.FragmentId("1", stage, spot) for spot in spots]
+        return [FragmentId("1", stage, spot) for spot in spots]
 
     def asked(self, ids):
         return [pair for pair in self.pairs if {pair.source, pair.target} <= set(ids)]
@@ -161,14 +169,56 @@ def test_a_settled_map_stays_while_a_stage_comes_in(graph, live):
     assert np.linalg.norm((found - elsewhere)[:3, 3]) < 0.1
 
 
+def test_clouds_come_seldom_but_the_settled_map_does(graph):
+    feed = Feed(graph)
+    ids = feed.ids(1, 1, 2, 4, 6)
+    pairs = feed.asked(ids)
+    graphs = graph.listen(topics.POSE_GRAPH, PoseGraph)
+    clouds = graph.listen(topics.MAP, PointCloud2)
+    stage = graph.listen(topics.stage_map(1), PointCloud2)
+    graph.start("pose_graph", map_rate=1e-9, synchronizer="choi")
+    feed.ask(pairs)
+    feed.give(ids)
+    graph.wait(lambda: graphs and len(graphs[-1].nodes) == len(ids))
+    for pair in pairs[:-1]:
+        count = len(graphs)
+        feed.answer(pair)
+        graph.wait(lambda count=count: len(graphs) > count)
+    feed.answer(pairs[-1])
+    graph.wait(lambda: graphs[-1].settled and graphs[-1].pairs_answered == len(pairs))
+
+    def expected():
+        fragments = {id_: Fragment(id_, voxelize(feed.fragments[id_].points, 0.05)) for id_ in ids}
+        return map_points(fragments, pose_graph_from(graphs[-1]), 0.1)[0]
+
+    graph.wait(lambda: clouds and stage and clouds[-1].width == len(expected()))
+    # Poses in messages are rounded, so that a point may fall into the next voxel.
+    distances, _ = cKDTree(points_from(clouds[-1])).query(expected())
+    assert np.quantile(distances, 0.99) < 1e-3
+    assert clouds[-1].data == stage[-1].data
+    # One when there was none yet; then each time that the map had settled.
+    settled = sum(message.settled for message in graphs)
+    assert len(clouds) <= 1 + settled
+    assert sum(not message.settled for message in graphs) > 3
+
+    # Settled again as it was before, there is nothing to publish.
+    count = len(clouds)
+    settled = len(graphs)
+    assert graph.call(Trigger, "/pose_graph/optimize").success
+    graph.wait(lambda: any(message.settled for message in graphs[settled:]))
+    assert len(clouds) == count
+
+
 def test_nothing_stays_after_a_reset(graph, live):
     feed, old, pairs, graphs = live
     assert graph.call(Trigger, "/pose_graph/reset").success
     graph.wait(lambda: not graphs[-1].nodes)
+    # Never answered, so that the map is not solved thoroughly again.
     feed.ask([feed.pairs[-1]])
+    graph.wait(lambda: graphs[-1].pairs_requested == 1)
     feed.give(old)
     for pair in pairs:
         feed.answer(pair)
-    graph.wait(lambda: len(graphs[-1].edges) == len(pairs))
+    graph.wait(lambda: len(graphs[-1].edges) >= len(pairs) and graphs[-1].settled)
     assert [status(graphs[-1], pair) for pair in pairs] == [0] * len(pairs)
     assert not submap_edges(graphs[-1])
