@@ -1,4 +1,4 @@
-"""Publishes the clouds of a map: seldom while it changes, always when it is settled."""
+"""Publishes what is to be seen of a map: clouds and markers of each component in its frame."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
 from nss_ros import topics
 from nss_ros.config import PoseGraphConfig
@@ -17,6 +18,7 @@ from nss_ros.fragment import Fragment, FragmentId, Points
 from nss_ros.messages import cloud_message, rosidl_family
 from nss_ros.multiway.map_clouds import MapClouds
 from nss_ros.multiway.pose_graph import PoseGraph
+from nss_ros.nodes.markers import graph_markers
 from nss_ros.nodes.qos import publisher_qos
 from nss_ros.topics import Topic
 
@@ -24,7 +26,7 @@ _MEGABYTE = 1e6
 
 
 class MapPublisher:
-    """The map as clouds: a log keeps every one that is published, so only what is new is.
+    """The map for viewers. A log keeps every cloud, so they come seldom while the map changes.
 
     Args:
         node: that publishes.
@@ -36,9 +38,19 @@ class MapPublisher:
         self._publishers: dict[Topic, Publisher] = {}
         self._frame = ""
         self._due = 0.0
-        self._publisher(topics.MAP)
+        for topic in (topics.MAP, topics.MARKERS):
+            self._publisher(topic)
 
-    def publish(
+    def publish_markers(self, graph: PoseGraph, config: PoseGraphConfig) -> None:
+        """Publish the markers of all components, and clear those of components that are gone."""
+        components = {0} | {node.component for node in graph.poses().values()}
+        for number in range(topics.MOST_COMPONENTS):
+            topic = topics.component_markers(number)
+            if number in components or topic in self._publishers:
+                frame = topics.component_frame(config.map_frame, number)
+                self._publisher(topic).publish(graph_markers(graph, frame, number))
+
+    def publish_clouds(
         self,
         fragments: Mapping[FragmentId, Fragment],
         graph: PoseGraph,
@@ -61,25 +73,31 @@ class MapPublisher:
         if config.map_frame != self._frame:
             changed |= self._clouds.layers()
         self._frame = config.map_frame
-        stages = sorted(stage for component, stage in changed if component == 0)
-        if not stages:
-            return
-        size = self._send(topics.MAP, *self._clouds.component(0))
-        for stage in stages:
+        size = 0
+        for component in sorted({component for component, _ in changed}):
+            if component < topics.MOST_COMPONENTS:
+                cloud = self._clouds.component(component)
+                size += self._send(topics.component_map(component), *cloud, component)
+        for stage in sorted(stage for component, stage in changed if component == 0):
             size += self._send(topics.stage_map(stage), *self._clouds.stage(0, stage))
-        self._due = time.monotonic() + size / (config.map_rate * _MEGABYTE)
+        if changed:
+            self._due = time.monotonic() + size / (config.map_rate * _MEGABYTE)
 
-    def _send(self, topic: Topic, points: Points, stages: NDArray[np.float32]) -> int:
+    def _send(
+        self, topic: Topic, points: Points, stages: NDArray[np.float32], component: int = 0
+    ) -> int:
         """Publish one cloud; its size in bytes."""
         columns = dict(zip("xyz", points.T, strict=True)) | {"stage": stages}
         stamp = int(self._node.get_clock().now().nanoseconds)
-        message = cloud_message(columns, self._frame, stamp, rosidl_family())
+        frame = topics.component_frame(self._frame, component)
+        message = cloud_message(columns, frame, stamp, rosidl_family())
         self._publisher(topic).publish(message)
         return len(message.data)
 
     def _publisher(self, topic: Topic) -> Publisher:
         if topic not in self._publishers:
+            kind = MarkerArray if topic.type == topics.MARKERS.type else PointCloud2
             self._publishers[topic] = self._node.create_publisher(
-                PointCloud2, topic.name, publisher_qos(topic)
+                kind, topic.name, publisher_qos(topic)
             )
         return self._publishers[topic]

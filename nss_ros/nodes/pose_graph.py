@@ -19,7 +19,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import MarkerArray
 
 from nss_msgs.msg import Fragment as FragmentMessage
 from nss_msgs.msg import FragmentPair as PairMessage
@@ -50,7 +49,6 @@ from nss_ros.multiway.synchronizer import PointSynchronizer, load_synchronizer
 from nss_ros.nodes.diagnostics import Health, publish_diagnostics
 from nss_ros.nodes.intake import converted
 from nss_ros.nodes.map_publisher import MapPublisher
-from nss_ros.nodes.markers import graph_markers
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
 from nss_ros.nodes.qos import publisher_qos, subscription_qos
 from nss_ros.nodes.spin import Background, run_node
@@ -115,7 +113,6 @@ class PoseGraphNode(Node):
         self._pose_graph = publisher(PoseGraphMessage, topics.POSE_GRAPH)
         self._poses = publisher(FragmentPoses, topics.FRAGMENT_POSES)
         self._map_publisher = MapPublisher(self)
-        self._markers = publisher(MarkerArray, topics.MARKERS)
         self._tf = publisher(TFMessage, topics.TF)
         self.create_timer(_TF_PERIOD, self._publish_tf)
 
@@ -436,7 +433,7 @@ class PoseGraphNode(Node):
         stamp = self._stamp()
         self._pose_graph.publish(pose_graph_message(graph, frame, stamp, family, progress))
         self._poses.publish(fragment_poses_message(graph.nodes, frame, stamp, family))
-        self._markers.publish(graph_markers(graph, frame))
+        self._map_publisher.publish_markers(graph, self._config)
         self._publish_tf()
 
     def _publish_tf(self) -> None:
@@ -447,7 +444,9 @@ class PoseGraphNode(Node):
                 continue
             transform = TransformStamped(child_frame_id=str(node.id))
             transform.header.stamp = stamp
-            transform.header.frame_id = self._frame(node.component)
+            transform.header.frame_id = topics.component_frame(
+                self._config.map_frame, node.component
+            )
             translation, rotation = transform.transform.translation, transform.transform.rotation
             translation.x, translation.y, translation.z = map(float, node.T_map_fragment[:3, 3])
             rotation.x, rotation.y, rotation.z, rotation.w = map(
@@ -457,14 +456,10 @@ class PoseGraphNode(Node):
         if transforms:
             self._tf.publish(TFMessage(transforms=transforms))
 
-    def _frame(self, component: int) -> str:
-        frame = self._config.map_frame
-        return frame if component == 0 else f"{frame}_{component}"
-
     def _publish_map(self) -> None:
         with self._lock:
             fragments = dict(self._map.fragments)
-        self._map_publisher.publish(fragments, self._graph, self._config, self._settled)
+        self._map_publisher.publish_clouds(fragments, self._graph, self._config, self._settled)
 
 
 def _multiway(config: PoseGraphConfig) -> dict[str, Any]:

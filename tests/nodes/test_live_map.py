@@ -1,5 +1,6 @@
 """The node pose_graph while fragments and answers come in, of the bundled bag."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ pytest.importorskip("nss_msgs.msg")
 from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
 
 from nss_msgs.msg import Fragment as FragmentMessage
 from nss_msgs.msg import FragmentPair as PairMessage
@@ -17,7 +20,7 @@ from nss_msgs.msg import PoseGraph, RelativeTransform
 from nss_msgs.srv import AddConstraint, RemoveConstraint
 from nss_ros import topics
 from nss_ros.bag import read_log
-from nss_ros.fragment import Fragment, FragmentId, voxelize
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
 from nss_ros.geometry import from_yaw, relative
 from nss_ros.messages import (
     fragment_message,
@@ -30,6 +33,7 @@ from nss_ros.messages import (
     rosidl_family,
 )
 from nss_ros.multiway.multi_stage_map import map_points
+from nss_ros.multiway.pose_graph import PoseGraph as PoseGraphOfCore
 from nss_ros.nodes.qos import publisher_qos
 from nss_ros.registration import relative_transform
 
@@ -207,6 +211,69 @@ def test_clouds_come_seldom_but_the_settled_map_does(graph):
     assert graph.call(Trigger, "/pose_graph/optimize").success
     graph.wait(lambda: any(message.settled for message in graphs[settled:]))
     assert len(clouds) == count
+
+
+def test_components_are_shown_in_frames_of_their_own(graph):
+    """Until somebody says how they lie to each other."""
+    feed = Feed(graph)
+    large, small = feed.ids(1, 1, 2, 4, 6), feed.ids(2, 4, 5, 6)
+    graphs = graph.listen(topics.POSE_GRAPH, PoseGraph)
+    clouds = graph.listen(topics.component_map(1), PointCloud2)
+    whole = graph.listen(topics.MAP, PointCloud2)
+    markers = graph.listen(topics.component_markers(1), MarkerArray)
+    transforms = graph.listen(topics.TF, TFMessage)
+    graph.start("pose_graph", synchronizer="choi")
+    pairs = [*feed.asked(large), *feed.asked(small)]
+    feed.ask(pairs)
+    feed.give([*large, *small])
+    for pair in pairs:
+        feed.answer(pair)
+    graph.wait(lambda: graphs and graphs[-1].settled and graphs[-1].pairs_answered == len(pairs))
+    poses = pose_graph_from(graphs[-1]).poses()
+    assert {id_: node.component for id_, node in poses.items()} == dict.fromkeys(
+        large, 0
+    ) | dict.fromkeys(small, 1)
+    fragments = {id_: Fragment(id_, voxelize(feed.fragments[id_].points, 0.05)) for id_ in small}
+    nodes = tuple(replace(poses[id_], component=0) for id_ in small)
+    expected, _ = map_points(fragments, PoseGraphOfCore(nodes), 0.1)
+    graph.wait(lambda: clouds and clouds[-1].width == len(expected))
+    assert clouds[-1].header.frame_id == "map_1"
+    distances, _ = cKDTree(points_from(clouds[-1])).query(expected)
+    assert np.quantile(distances, 0.99) < 1e-3
+    assert whole[-1].header.frame_id == "map"
+
+    def spots():
+        return sum(
+            len(each.points)
+            for each in markers[-1].markers
+            if each.ns.startswith("stage_") and each.header.frame_id == "map_1"
+        )
+
+    graph.wait(lambda: markers and spots() == len(small))
+    graph.wait(
+        lambda: (
+            transforms
+            and {
+                each.child_frame_id
+                for each in transforms[-1].transforms
+                if each.header.frame_id == "map_1"
+            }
+            == {str(id_) for id_ in small}
+        )
+    )
+
+    link = FragmentPair(small[0], large[0])
+    added = graph.call(
+        AddConstraint,
+        "/pose_graph/add_constraint",
+        source_id=str(link.source),
+        target_id=str(link.target),
+        pose=pose_message(feed.truth(link), np.eye(6) * 1e-4, rosidl_family()),
+    )
+    assert added.code == AddConstraint.Response.OK
+    graph.wait(lambda: clouds[-1].width == 0 and spots() == 0)
+    stages = graph.listen(topics.stage_map(2), PointCloud2)
+    graph.wait(lambda: stages and stages[-1].width > 0)
 
 
 def test_nothing_stays_after_a_reset(graph, live):
