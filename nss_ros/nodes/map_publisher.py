@@ -55,20 +55,20 @@ class MapPublisher:
         fragments: Mapping[FragmentId, Fragment],
         graph: PoseGraph,
         config: PoseGraphConfig,
-        settled: bool,
-    ) -> None:
-        """Publish the clouds that changed, if it is time for them.
+        final: bool,
+    ) -> bool:
+        """Publish the clouds that changed, if it is time for them; False if it is not.
 
         Args:
             fragments: by id.
             graph: poses.
             config: voxel size, frame, and how much clouds may take.
-            settled: nothing more is to be expected: every change counts, and now.
+            final: nothing more is to be expected: every change counts, and now.
         """
-        if not settled and time.monotonic() < self._due:
-            return
+        if not final and time.monotonic() < self._due:
+            return False
         voxel_size = config.map_voxel_size
-        tolerance = 0.0 if settled else voxel_size
+        tolerance = 0.0 if final else voxel_size
         changed = self._clouds.update(fragments, graph, voxel_size, tolerance)
         if config.map_frame != self._frame:
             changed |= self._clouds.layers()
@@ -82,6 +82,7 @@ class MapPublisher:
             size += self._send(topics.stage_map(stage), *self._clouds.stage(0, stage))
         if changed:
             self._due = time.monotonic() + size / (config.map_rate * _MEGABYTE)
+        return True
 
     def _send(
         self, topic: Topic, points: Points, stages: NDArray[np.float32], component: int = 0

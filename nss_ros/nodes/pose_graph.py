@@ -113,6 +113,7 @@ class PoseGraphNode(Node):
         self._pose_graph = publisher(PoseGraphMessage, topics.POSE_GRAPH)
         self._poses = publisher(FragmentPoses, topics.FRAGMENT_POSES)
         self._map_publisher = MapPublisher(self)
+        self._clouds_published = True
         self._tf = publisher(TFMessage, topics.TF)
         self.create_timer(_TF_PERIOD, self._publish_tf)
 
@@ -319,6 +320,8 @@ class PoseGraphNode(Node):
                 self._publish_map()
                 self._publish_graph()
                 self._log_progress()
+            if not self._clouds_published:
+                self._publish_map()
             self.background.stopping.wait(_POLL)
 
     def _log_progress(self) -> None:
@@ -459,7 +462,11 @@ class PoseGraphNode(Node):
     def _publish_map(self) -> None:
         with self._lock:
             fragments = dict(self._map.fragments)
-        self._map_publisher.publish_clouds(fragments, self._graph, self._config, self._settled)
+            # Between slow answers the graph settles, too.
+            final = self._settled and self._map.complete
+        self._clouds_published = self._map_publisher.publish_clouds(
+            fragments, self._graph, self._config, final
+        )
 
 
 def _multiway(config: PoseGraphConfig) -> dict[str, Any]:
