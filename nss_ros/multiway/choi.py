@@ -360,4 +360,5 @@ def _edge(
         residual_rotation=rotation,
         weight=edge.weight,
         covariance=np.asarray(np.linalg.inv(m.information)),
+        inliers=m.inliers,
     )

@@ -18,7 +18,6 @@ from nss_ros.fragment import FragmentId
 from nss_ros.geometry import relative
 from nss_ros.multiway.closures import SUBMAP_CONFIDENCE
 from nss_ros.multiway.hypotheses import fitting_hypothesis
-from nss_ros.multiway.measurement import information
 from nss_ros.multiway.pose_graph import Edge, EdgeKind, EdgeStatus, Measurement, PoseGraph
 from nss_ros.multiway.spanning_tree import Closeness, Poses, components
 
@@ -75,8 +74,7 @@ def known_by(graph: PoseGraph, measurements: Sequence[Measurement], close: Close
             taken.append(_chosen(m, edge, close))
         else:
             rejected.append((m, edge.reason))
-    counts = [m.inliers for m in taken if m.pair in decided] or [1]
-    found = [_of_submaps(edge, round(float(np.mean(counts)))) for edge in linking if _found(edge)]
+    found = [_of_submaps(edge) for edge in linking if _found(edge)]
     poses = {id_: node.T_map_fragment for id_, node in graph.poses().items()}
     return Known(
         tuple({id_: poses[id_] for id_ in members} for members in parts if len(members) > 1),
@@ -152,13 +150,13 @@ def _chosen(m: Measurement, edge: Edge, close: Closeness) -> Measurement:
     return replace(chosen, confidence=max(chosen.confidence, SUBMAP_CONFIDENCE))
 
 
-def _of_submaps(edge: Edge, inliers: int) -> Measurement:
+def _of_submaps(edge: Edge) -> Measurement:
     return Measurement(
         edge.pair,
         edge.T_target_source,
-        information(edge.covariance),
+        np.asarray(np.linalg.inv(edge.covariance)),
         confidence=SUBMAP_CONFIDENCE,
-        inliers=inliers,
+        inliers=edge.inliers,
         level=True,
         submap=True,
     )

@@ -49,7 +49,8 @@ def edge(source, target, kind=EdgeKind.SAME_STAGE, accepted=True):
     status = EdgeStatus.ACCEPTED if accepted else EdgeStatus.REJECTED
     covariance = np.linalg.inv(INFORMATION)
     transform = there(source, target)
-    return Edge(FragmentPair(source, target), transform, kind, status, "why", covariance=covariance)
+    pair = FragmentPair(source, target)
+    return Edge(pair, transform, kind, status, "why", covariance=covariance, inliers=300)
 
 
 def solution(*edges, component=None):
@@ -84,7 +85,7 @@ def test_what_was_decided_stays():
     assert pairs(known.measurements) == [(A, B), (B, C), (C, D), (A, C)]
     assert [(m.pair, why) for m, why in known.rejected] == [(FragmentPair(B, D), "why")]
     found = known.measurements[-1]
-    assert (found.kind, found.inliers, found.level) == (EdgeKind.SUBMAP, 700, True)
+    assert (found.kind, found.inliers, found.level) == (EdgeKind.SUBMAP, 300, True)
     assert {m.confidence for m in known.measurements} == {0.9}
 
 
