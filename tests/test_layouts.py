@@ -9,18 +9,21 @@ import yaml
 
 from nss_ros import topics
 from nss_ros.colors import stage_color
-from nss_ros.topics import Topic, stage_map
+from nss_ros.topics import Topic, component_map, component_markers, part_of_map, stage_map
 from nss_ros.typestore import jazzy_typestore
 
 _CONFIG = Path(__file__).parents[1] / "config"
 _FOXGLOVE = json.loads((_CONFIG / "nss.foxglove.json").read_text())["configById"]
 _RVIZ = yaml.safe_load((_CONFIG / "nss.rviz").read_text())["Visualization Manager"]
 _STAGES = range(1, 7)
+_COMPONENTS = range(1, 3)
 _TOPICS = {
     f"/{topic.name.lstrip('/')}": topic
     for topic in (
         *(value for value in vars(topics).values() if isinstance(value, Topic)),
         *map(stage_map, _STAGES),
+        *map(component_map, _COMPONENTS),
+        *map(component_markers, _COMPONENTS),
     )
 }
 _CLASSES = {
@@ -76,6 +79,25 @@ def test_foxglove_shows_topics_that_there_are():
         check_path("/pose_graph.colour")
 
 
+def test_foxglove_shows_components_in_their_frames():
+    main, *others = panels("3D")
+    assert main["followTf"] == "map"
+    for number, panel in zip(_COMPONENTS, others, strict=True):
+        assert panel["followTf"] == f"map_{number}"
+        assert panel["topics"] == {
+            f"/map/component_{number}": main["topics"]["/map"],
+            f"/markers/component_{number}": main["topics"]["/markers"],
+        }
+        assert panel["topics"].keys() <= _TOPICS.keys()
+
+
+def test_parts_of_the_map_are_known_by_their_names():
+    for topic in (stage_map(0), stage_map(12), component_map(1), component_markers(30)):
+        assert part_of_map(topic.name) == topic
+    strangers = ("map", "map/component_0", "map/component_01", "map/stage_x", "markers/stage_1")
+    assert [part_of_map(name) for name in (*strangers, "amap/stage_1", "")] == [None] * 7
+
+
 def test_foxglove_lays_out_every_panel_once():
     layout = json.loads((_CONFIG / "nss.foxglove.json").read_text())
     tabs = [tab["layout"] for panel in panels("Tab") for tab in panel["tabs"]]
@@ -93,8 +115,16 @@ def test_rviz_shows_topics_that_there_are():
             assert display["Topic"]["Durability Policy"] == durability
             assert display["Topic"]["Reliability Policy"] == "Reliable"
             named[display["Topic"]["Value"]] = display
-    assert {"/map", "/markers", *(f"/map/stage_{stage}" for stage in _STAGES)} == named.keys()
+    of_components = {f"/{of}/component_{n}" for of in ("map", "markers") for n in _COMPONENTS}
+    stages = {f"/map/stage_{stage}" for stage in _STAGES}
+    assert {"/map", "/markers"} | stages | of_components == named.keys()
     assert set(named["/markers"]["Namespaces"]) == _MARKERS
+    # What is in another frame is an error until the fixed frame is set to that.
+    for name in of_components:
+        assert not named[name]["Enabled"]
+        assert f"(fixed frame map_{name[-1]})" in named[name]["Name"]
+        if name.startswith("/markers"):
+            assert set(named[name]["Namespaces"]) == _MARKERS
     assert _RVIZ["Global Options"]["Fixed Frame"] == "map"
 
 

@@ -208,6 +208,10 @@ class PoseGraphConfig(MultiwayConfig):
         description="Name of the map frame; component n > 0 gets <map_frame>_<n>",
     )
     map_voxel_size: Positive = Field(0.1, description="Voxel size of the published maps, metres")
+    map_rate: Positive = Field(
+        0.2,
+        description="Most that the clouds of the map take while it changes, MB/s on average, so that large ones come seldom; of a settled map all come",
+    )
     update_period: Positive = Field(2.0, description="Least time between optimisations, seconds")
     settle_time: Positive = Field(
         1.0, description="Quiet time after which the graph counts as settled, seconds"

@@ -150,6 +150,7 @@ def joined_parts(
     measurements: Sequence[Measurement],
     close: Closeness,
     least_odds: float = _LEAST_ODDS,
+    known: Sequence[Poses] = (),
 ) -> list[Poses]:
     """Parts of the map, largest first, each with poses in a frame of its own.
 
@@ -161,8 +162,9 @@ def joined_parts(
         measurements: between them, with their alternatives.
         close: when two poses of a fragment agree.
         least_odds: logarithm of the odds of a link that is followed.
+        known: parts that are joined already; what lies within them says nothing.
     """
-    joining = _Joining(fragments, [Ambiguous.of(m) for m in measurements], close)
+    joining = _Joining(fragments, [Ambiguous.of(m) for m in measurements], close, known)
     while (best := joining.best()) is not None and best[0] > least_odds:
         joining.join(*best[1:])
     return sorted(joining.parts.values(), key=lambda part: (-len(part), min(part)))
@@ -172,13 +174,19 @@ class _Joining:
     """Parts that are being joined, and the links between them."""
 
     def __init__(
-        self, fragments: Iterable[FragmentId], pairs: list[Ambiguous], close: Closeness
+        self,
+        fragments: Iterable[FragmentId],
+        pairs: list[Ambiguous],
+        close: Closeness,
+        known: Sequence[Poses],
     ) -> None:
-        ids = sorted(fragments)
-        self.parts: dict[int, Poses] = {n: {id_: np.eye(4)} for n, id_ in enumerate(ids)}
+        alone = set(fragments).difference(*known)
+        parts = [dict(part) for part in known] + [{id_: np.eye(4)} for id_ in sorted(alone)]
+        self.parts: dict[int, Poses] = dict(enumerate(parts))
         self._close = close
-        self._next = len(ids)
-        number = {id_: n for n, id_ in enumerate(ids)}
+        self._next = len(parts)
+        number = {id_: n for n, part in self.parts.items() for id_ in part}
+        pairs = [pair for pair in pairs if number[pair.source] != number[pair.target]]
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.parts}
         for pair in pairs:
             one, other = number[pair.target], number[pair.source]
@@ -186,9 +194,12 @@ class _Joining:
             self._pairs[other].setdefault(one, []).append(pair)
         self._links: dict[tuple[int, int], _Link] = {}
         self._queue: list[tuple[float, int, int]] = []
-        for pair, gains in zip(pairs, loop_gains(pairs, close), strict=True):
-            one, other = sorted((number[pair.source], number[pair.target]))
-            self._measure(one, other, gains)
+        gains = {
+            tuple(sorted((number[pair.source], number[pair.target]))): gain
+            for pair, gain in zip(pairs, loop_gains(pairs, close), strict=True)
+        }
+        for (one, other), gain in gains.items():
+            self._measure(one, other, gain)
 
     def best(self) -> tuple[float, int, int] | None:
         """The odds of the surest link, and the parts that it links."""

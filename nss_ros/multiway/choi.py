@@ -69,6 +69,7 @@ class Choi:
         measurements: Sequence[Measurement],
         start: Poses | None = None,
         rejected: Sequence[tuple[Measurement, str]] = (),
+        parts: Sequence[Poses] = (),
     ) -> PoseGraph:
         """Poses of all fragments; see `Synchronizer.synchronize`.
 
@@ -77,13 +78,15 @@ class Choi:
             measurements: between them.
             start: initial poses of all fragments, if they are known.
             rejected: measurements that only become rejected edges, and why.
+            parts: initial poses of some fragments, which the others are joined to; each part has
+                a frame of its own.
         """
         ids = sorted(set(fragments))
         edges = [_Judged(m) for m in sorted(measurements, key=canonical)]
         self._reject_at_once(edges, set(ids))
         known = start or {}
-        if start is None and self._config.start == "evidence":
-            known = self._join(ids, edges)
+        if start is None and (parts or self._config.start == "evidence"):
+            known = self._join(ids, edges, parts)
         self._count_support(edges)
         poses = known
         for _ in range(_MOST_ROUNDS):
@@ -107,10 +110,11 @@ class Choi:
             elif m.level and (tilt := tilt_angle(m.T_target_source)) > limit:
                 edge.reject(f"tilts levelled fragments by {np.rad2deg(tilt):.1f} deg")
 
-    def _join(self, ids: list[FragmentId], edges: list[_Judged]) -> Poses:
+    def _join(self, ids: list[FragmentId], edges: list[_Judged], known: Sequence[Poses]) -> Poses:
         """Poses by which the pairs agree; their edges get the hypothesis that fits them."""
         close = self._close()
-        parts = joined_parts(ids, [e.measurement for e in edges if e.accepted], close)
+        measurements = [edge.measurement for edge in edges if edge.accepted]
+        parts = joined_parts(ids, measurements, close, known=known)
         part = {id_: number for number, members in enumerate(parts) for id_ in members}
         poses = {id_: pose for members in parts for id_, pose in members.items()}
         for edge in edges:
@@ -356,4 +360,5 @@ def _edge(
         residual_rotation=rotation,
         weight=edge.weight,
         covariance=np.asarray(np.linalg.inv(m.information)),
+        inliers=m.inliers,
     )

@@ -6,6 +6,8 @@ exclusions, so it does not depend on the order in which they came.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -145,6 +147,12 @@ class MultiStageMap:
         return all(fragment is not None and fragment.gravity_aligned for fragment in ends)
 
 
+def merged_points(placed: Iterable[tuple[Fragment, Transform]], voxel_size: float) -> Points:
+    """The points (n, 3) of fragments at their poses, one or more, voxelised."""
+    clouds = [transform_points(pose, fragment.points) for fragment, pose in placed]
+    return voxelize(np.concatenate([cloud.astype(np.float32) for cloud in clouds]), voxel_size)
+
+
 def map_points(
     fragments: dict[FragmentId, Fragment],
     graph: PoseGraph,
@@ -160,16 +168,16 @@ def map_points(
     Returns:
         Points (n, 3) float32, and their stages (n,) float32.
     """
-    by_stage: dict[int, list[Points]] = {}
+    by_stage: dict[int, list[tuple[Fragment, Transform]]] = {}
     for node in graph.nodes:
         placed = node.status is NodeStatus.PLACED and node.component == 0
         if placed and node.id in fragments:
-            points = transform_points(node.T_map_fragment, fragments[node.id].points)
-            by_stage.setdefault(node.id.stage, []).append(points.astype(np.float32))
+            placed_fragment = fragments[node.id], node.T_map_fragment
+            by_stage.setdefault(node.id.stage, []).append(placed_fragment)
     clouds = [np.zeros((0, 3), np.float32)]
     stages = [np.zeros(0, np.float32)]
     for number in sorted(by_stage):
-        cloud = voxelize(np.concatenate(by_stage[number]), voxel_size)
+        cloud = merged_points(by_stage[number], voxel_size)
         clouds.append(cloud)
         stages.append(np.full(len(cloud), number, np.float32))
     return np.concatenate(clouds), np.concatenate(stages)

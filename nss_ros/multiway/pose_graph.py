@@ -124,6 +124,7 @@ class Edge:
         weight: weight in the final optimisation, 0..1.
         overlap_ratio: NaN when unknown.
         temporal_change: NaN when unknown.
+        inliers: points that support it; 0 when unknown.
     """
 
     pair: FragmentPair
@@ -137,6 +138,7 @@ class Edge:
     overlap_ratio: float = float("nan")
     temporal_change: float = float("nan")
     covariance: Matrix = field(default_factory=lambda: np.zeros((6, 6)))
+    inliers: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,12 +23,14 @@ class Problem:
         fragments: all ids.
         measurements: `MultiStageMap.measurements`.
         unused: `MultiStageMap.unused_edges`, carried over into the graph.
+        known: the last solution with points, which one without points goes on from.
     """
 
     config: MultiwayConfig
     fragments: Sequence[FragmentId]
     measurements: Sequence[Measurement]
     unused: Sequence[Edge] = ()
+    known: PoseGraph | None = None
 
 
 def solve(problem: Problem, prepared: Mapping[FragmentId, Any] | None = None) -> PoseGraph:
@@ -39,10 +41,13 @@ def solve(problem: Problem, prepared: Mapping[FragmentId, Any] | None = None) ->
         prepared: what a `PointSynchronizer` made of the fragments; None: without points.
     """
     synchronizer = load_synchronizer(problem.config)
-    if prepared is not None and isinstance(synchronizer, PointSynchronizer):
-        graph = synchronizer.synchronize_points(problem.fragments, problem.measurements, prepared)
+    fragments, measurements = problem.fragments, problem.measurements
+    if not isinstance(synchronizer, PointSynchronizer):
+        graph = synchronizer.synchronize(fragments, measurements)
+    elif prepared is None:
+        graph = synchronizer.synchronize(fragments, measurements, problem.known)
     else:
-        graph = synchronizer.synchronize(problem.fragments, problem.measurements)
+        graph = synchronizer.synchronize_points(fragments, measurements, prepared)
     edges = sorted((*graph.edges, *problem.unused), key=lambda edge: (edge.pair, edge.kind))
     return replace(graph, edges=tuple(edges))
 

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, inverse
-from nss_ros.multiway.pose_graph import Measurement
+from nss_ros.multiway.pose_graph import Edge, Measurement
 
 Poses = dict[FragmentId, Transform]
 
 
 def components(
-    fragments: Sequence[FragmentId], measurements: Sequence[Measurement]
+    fragments: Sequence[FragmentId], measurements: Sequence[Measurement | Edge]
 ) -> list[list[FragmentId]]:
     """Connected components, largest first, ties and members in canonical order."""
     parent = {id_: id_ for id_ in fragments}

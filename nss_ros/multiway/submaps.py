@@ -19,6 +19,7 @@ from nss_ros.geometry import relative
 from nss_ros.multiway.choi import Choi, canonical
 from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures
 from nss_ros.multiway.hypotheses import fitting_hypothesis
+from nss_ros.multiway.known import known_by
 from nss_ros.multiway.pose_graph import Measurement, PoseGraph
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import SubmapFragment, submap_fragment
@@ -57,11 +58,23 @@ class Submaps:
         return submap_fragment(fragment, self._network, self._registration)
 
     def synchronize(
-        self, fragments: Sequence[FragmentId], measurements: Sequence[Measurement]
+        self,
+        fragments: Sequence[FragmentId],
+        measurements: Sequence[Measurement],
+        known: PoseGraph | None = None,
     ) -> PoseGraph:
-        """Without points: the result of `choi`."""
-        graph = self._choi.synchronize(fragments, measurements)
+        """Without points: the result of `choi`, which goes on from what is known."""
+        if known is None:
+            graph = self._choi.synchronize(fragments, measurements)
+        else:
+            kept = known_by(known, measurements, self._close())
+            graph = self._choi.synchronize(
+                fragments, kept.measurements, rejected=kept.rejected, parts=kept.parts
+            )
         return replace(graph, synchronizer=self.name)
+
+    def _close(self) -> Closeness:
+        return Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
 
     def synchronize_points(
         self,
@@ -79,8 +92,7 @@ class Submaps:
         prepared = {id_: prepared[id_] for id_ in ids}
         inside = [m for m in measurements if _both(m, prepared)]
         outside = [m for m in measurements if not _both(m, prepared)]
-        close = Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
-        parts = joined_submaps(ids, inside, prepared, close)
+        parts = joined_submaps(ids, inside, prepared, self._close())
         kept, rejected = _judged(inside, parts)
         found = [
             each

@@ -42,6 +42,22 @@ class PointSynchronizer(Synchronizer, Protocol):
     While answers still come in, and where no points are at hand, `synchronize` is called.
     """
 
+    def synchronize(
+        self,
+        fragments: Sequence[FragmentId],
+        measurements: Sequence[Measurement],
+        known: PoseGraph | None = None,
+    ) -> PoseGraph:
+        """As that of a `Synchronizer`.
+
+        Args:
+            fragments: all of them.
+            measurements: between them.
+            known: the last result of `synchronize_points`, for some of them, which is better than
+                what can be found without points; answers and constraints may be gone since.
+        """
+        ...
+
     def prepare(self, fragment: Fragment) -> Any:
         """What it needs of a fragment, made once; None if it cannot use this one."""
         ...

@@ -15,12 +15,12 @@ _NODE_SIZE = 0.25
 _LINE_WIDTH = 0.03
 
 
-def graph_markers(graph: PoseGraph, frame_id: str) -> MarkerArray:
-    """Markers of the largest component in the map frame, metres."""
+def graph_markers(graph: PoseGraph, frame_id: str, component: int = 0) -> MarkerArray:
+    """Markers of one component, the largest by default, in its frame, metres."""
     placed = {
         node.id: node
         for node in graph.nodes
-        if node.status is NodeStatus.PLACED and node.component == 0
+        if node.status is NodeStatus.PLACED and node.component == component
     }
     clear = Marker(action=Marker.DELETEALL)
     clear.header.frame_id = frame_id

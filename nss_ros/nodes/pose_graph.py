@@ -12,14 +12,13 @@ from concurrent.futures import Future as SolutionFuture
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
-from visualization_msgs.msg import MarkerArray
 
 from nss_msgs.msg import Fragment as FragmentMessage
 from nss_msgs.msg import FragmentPair as PairMessage
@@ -28,13 +27,12 @@ from nss_msgs.msg import PoseGraph as PoseGraphMessage
 from nss_msgs.msg import RelativeTransform as RelativeTransformMessage
 from nss_msgs.srv import AddConstraint, MapFile, RemoveConstraint
 from nss_ros import topics
-from nss_ros.config import PoseGraphConfig, RegistrationConfig
+from nss_ros.config import MultiwayConfig, PoseGraphConfig, RegistrationConfig
 from nss_ros.errors import BagError, FormatError, InputError, NssError, RunError
 from nss_ros.fragment import Fragment
 from nss_ros.geometry import to_quaternion
 from nss_ros.messages import (
     GraphProgress,
-    cloud_message,
     fragment_from,
     fragment_poses_message,
     pair_from,
@@ -44,13 +42,13 @@ from nss_ros.messages import (
     rosidl_family,
 )
 from nss_ros.multiway.map_file import load_map, save_map
-from nss_ros.multiway.multi_stage_map import MultiStageMap, map_points
+from nss_ros.multiway.multi_stage_map import MultiStageMap
 from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
 from nss_ros.multiway.solver import Problem, Solver
 from nss_ros.multiway.synchronizer import PointSynchronizer, load_synchronizer
 from nss_ros.nodes.diagnostics import Health, publish_diagnostics
 from nss_ros.nodes.intake import converted
-from nss_ros.nodes.markers import graph_markers
+from nss_ros.nodes.map_publisher import MapPublisher
 from nss_ros.nodes.parameters import declare_parameters, follow_parameters
 from nss_ros.nodes.qos import publisher_qos, subscription_qos
 from nss_ros.nodes.spin import Background, run_node
@@ -75,6 +73,9 @@ class PoseGraphNode(Node):
         self._lock = threading.Lock()
         self._map = self._new_map()
         self._graph = PoseGraph(synchronizer=self._config.synchronizer)
+        # The last solution with all that the synchronizer can use: quick ones go on from it.
+        self._known: PoseGraph | None = None
+        self._known_counts = True
         self._fragments_in: SimpleQueue[Fragment] = SimpleQueue()
         self._waiting_for_optimum: list[threading.Event] = []
         self._solved_version = 0
@@ -111,9 +112,8 @@ class PoseGraphNode(Node):
 
         self._pose_graph = publisher(PoseGraphMessage, topics.POSE_GRAPH)
         self._poses = publisher(FragmentPoses, topics.FRAGMENT_POSES)
-        self._map_cloud = publisher(PointCloud2, topics.MAP)
-        self._stage_clouds: dict[int, Publisher] = {}
-        self._markers = publisher(MarkerArray, topics.MARKERS)
+        self._map_publisher = MapPublisher(self)
+        self._clouds_published = True
         self._tf = publisher(TFMessage, topics.TF)
         self.create_timer(_TF_PERIOD, self._publish_tf)
 
@@ -138,10 +138,16 @@ class PoseGraphNode(Node):
 
     def _apply(self, config: PoseGraphConfig) -> None:
         with self._lock:
+            if _multiway(config) != _multiway(self._config):
+                self._forget_known()
             self._config = config
             self._takes_points = _takes_points(config)
             self._map.version += 1
             self._changed()
+
+    def _forget_known(self) -> None:
+        """Neither the last thorough solution counts any more, nor one that is being made."""
+        self._known, self._known_counts = None, False
 
     def _changed(self) -> None:
         self._last_change = time.monotonic()
@@ -280,6 +286,7 @@ class PoseGraphNode(Node):
             self._map = self._new_map()
             self._map.version = version + 1
             self._forgotten = True
+            self._forget_known()
             self._changed()
         response.success = True
         response.message = "Forgot all fragments, relative transforms and constraints."
@@ -310,8 +317,11 @@ class PoseGraphNode(Node):
                 self._begin_solution()
             elif self._quiet() and not self._settled and not self._outdated():
                 self._settled = True
+                self._publish_map()
                 self._publish_graph()
                 self._log_progress()
+            if not self._clouds_published:
+                self._publish_map()
             self.background.stopping.wait(_POLL)
 
     def _log_progress(self) -> None:
@@ -369,7 +379,9 @@ class PoseGraphNode(Node):
                 sorted(self._map.fragments),
                 self._map.measurements(),
                 self._map.unused_edges(),
+                self._known,
             )
+            self._known_counts = True
             fragments = dict(self._map.fragments)
             self._solving_for, self._waiting_for_optimum = self._waiting_for_optimum, []
         self._solving_thoroughly = thoroughly
@@ -395,6 +407,8 @@ class PoseGraphNode(Node):
         with self._lock:
             self._graph, self._solved_version = graph, self._solving_version
             self._solved_thoroughly = self._solving_thoroughly
+            if self._solving_thoroughly and self._known_counts:
+                self._known = graph
         self._publish_graph()
         self._publish_map()
         for done in self._solving_for:
@@ -422,7 +436,7 @@ class PoseGraphNode(Node):
         stamp = self._stamp()
         self._pose_graph.publish(pose_graph_message(graph, frame, stamp, family, progress))
         self._poses.publish(fragment_poses_message(graph.nodes, frame, stamp, family))
-        self._markers.publish(graph_markers(graph, frame))
+        self._map_publisher.publish_markers(graph, self._config)
         self._publish_tf()
 
     def _publish_tf(self) -> None:
@@ -433,7 +447,9 @@ class PoseGraphNode(Node):
                 continue
             transform = TransformStamped(child_frame_id=str(node.id))
             transform.header.stamp = stamp
-            transform.header.frame_id = self._frame(node.component)
+            transform.header.frame_id = topics.component_frame(
+                self._config.map_frame, node.component
+            )
             translation, rotation = transform.transform.translation, transform.transform.rotation
             translation.x, translation.y, translation.z = map(float, node.T_map_fragment[:3, 3])
             rotation.x, rotation.y, rotation.z, rotation.w = map(
@@ -443,26 +459,19 @@ class PoseGraphNode(Node):
         if transforms:
             self._tf.publish(TFMessage(transforms=transforms))
 
-    def _frame(self, component: int) -> str:
-        frame = self._config.map_frame
-        return frame if component == 0 else f"{frame}_{component}"
-
     def _publish_map(self) -> None:
         with self._lock:
             fragments = dict(self._map.fragments)
-        points, stages = map_points(fragments, self._graph, self._config.map_voxel_size)
-        stamp, frame, family = self._stamp(), self._config.map_frame, rosidl_family()
-        for stage in {int(value) for value in set(stages.tolist())} | set(self._stage_clouds):
-            if stage not in self._stage_clouds:
-                topic = topics.stage_map(stage)
-                self._stage_clouds[stage] = self.create_publisher(
-                    PointCloud2, topic.name, publisher_qos(topic)
-                )
-            own = points[stages == stage]
-            columns = dict(zip("xyz", own.T, strict=True)) | {"stage": stages[stages == stage]}
-            self._stage_clouds[stage].publish(cloud_message(columns, frame, stamp, family))
-        columns = dict(zip("xyz", points.T, strict=True)) | {"stage": stages}
-        self._map_cloud.publish(cloud_message(columns, frame, stamp, family))
+            # Between slow answers the graph settles, too.
+            final = self._settled and self._map.complete
+        self._clouds_published = self._map_publisher.publish_clouds(
+            fragments, self._graph, self._config, final
+        )
+
+
+def _multiway(config: PoseGraphConfig) -> dict[str, Any]:
+    """The settings that decide what a solution is."""
+    return config.model_dump(include=set(MultiwayConfig.model_fields))
 
 
 def _takes_points(config: PoseGraphConfig) -> bool:

@@ -42,7 +42,7 @@ _ALWAYS = (
     topics.DIAGNOSTICS,
 )
 _MAPS = (topics.MAP, topics.MARKERS)
-_STAGE_MAP_PERIOD = 0.5
+_PARTS_PERIOD = 0.5
 
 
 class Recorder(Node):
@@ -72,7 +72,7 @@ class Recorder(Node):
             self._writer.add_topic(self.resolve_topic_name(topic.name), topic)
             self._subscribe(topic)
         if self._config.record_maps:
-            self.create_timer(_STAGE_MAP_PERIOD, self._find_stage_maps)
+            self.create_timer(_PARTS_PERIOD, self._find_parts_of_map)
         publish_diagnostics(self, self._health)
         self.background = Background("write", self._work)
         self.background.start()
@@ -104,12 +104,12 @@ class Recorder(Node):
             message_type, topic.name, record, subscription_qos(topic), raw=True
         )
 
-    def _find_stage_maps(self) -> None:
-        prefix = self.resolve_topic_name(topics.MAP.name) + "/stage_"
+    def _find_parts_of_map(self) -> None:
+        prefix = self.resolve_topic_name(topics.MAP.name).removesuffix(topics.MAP.name)
         for name, _ in self.get_topic_names_and_types():
-            number = name.removeprefix(prefix)
-            if name.startswith(prefix) and name not in self._topics and number.isdigit():
-                self._subscribe(topics.stage_map(int(number)))
+            topic = topics.part_of_map(name.removeprefix(prefix))
+            if topic is not None and name.startswith(prefix) and name not in self._topics:
+                self._subscribe(topic)
 
     def _note_bags(self, data: bytes) -> None:
         status = deserialize_message(data, PlaybackStatus)

@@ -10,7 +10,7 @@
     run, rejected               texts: metadata, why edges were rejected
 
 This is the largest component; the map, the fragments and the graph of the others lie below
-component_2, component_3, …, each in a map frame and a view of its own, since nothing links them.
+component_2, component_3, …, each in a map frame and in views of its own, since nothing links them.
 Fragments that are in no component are not drawn. Lengths are metres. The timeline `answer`
 counts the answers to pairs; what is drawn of a graph that still changes lies on it, too.
 """
@@ -231,29 +231,24 @@ class Scene:
 def _layout(components: int) -> Any:
     """The views: of each component one, and what is told of answers and edges."""
     views = rerun().blueprint
-    others = [
-        views.Spatial3DView(
-            name=f"Component {number}",
-            contents=[
-                f"+ /{_root(number)}map/**",
-                f"+ /{_root(number)}graph/**",
-                f"- /{_root(number)}graph/confidence",
-            ],
-        )
-        for number in range(2, components + 1)
-    ]
+
+    def of_each(name: str, *contents: str) -> Any:
+        """A view of each component; `%` in what it contains is the root of the component."""
+        shown = [
+            views.Spatial3DView(
+                name=name if components == 1 else f"Component {number}",
+                contents=[each.replace("%", f"/{_root(number)}") for each in contents],
+            )
+            for number in range(1, components + 1)
+        ]
+        return shown[0] if components == 1 else views.Tabs(*shown, name=name, active_tab=0)
+
     return views.Blueprint(
         views.Horizontal(
             views.Tabs(
-                views.Spatial3DView(
-                    name="Map by stage" if not others else "Component 1",
-                    contents=["+ /map/**", "+ /graph/**", "- /graph/confidence"],
-                ),
-                *others,
-                views.Spatial3DView(
-                    name="Confidence", contents=["+ /graph/confidence", "+ /map/**"]
-                ),
-                views.Spatial3DView(name="Fragments", contents=["+ /fragments/**"]),
+                of_each("Map by stage", "+ %map/**", "+ %graph/**", "- %graph/confidence"),
+                of_each("Confidence", "+ %graph/confidence", "+ %map/**"),
+                of_each("Fragments", "+ %fragments/**"),
                 active_tab=0,
             ),
             views.Vertical(

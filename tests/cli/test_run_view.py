@@ -15,7 +15,7 @@ from nss_ros.errors import BagError, FormatError, InputError
 from nss_ros.fragment import FragmentPair
 from nss_ros.multiway.pose_graph import Edge, EdgeKind, EdgeStatus, Node
 from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
-from nss_ros.viewing.scene import Scene
+from nss_ros.viewing.scene import Scene, _layout
 from nss_ros.viewing.sink import recording
 
 pytest.importorskip("rerun")
@@ -153,6 +153,21 @@ def test_components_that_nothing_links_have_a_view_each(room, tmp_path):
     assert any("Clear" in name for name in content[f"/component_2{path}"])
     assert any("Clear" in name for name in content["/component_2/graph"])
     assert "/component_2/fragments/stage_1" not in {each.rsplit("/", 1)[0] for each in content}
+
+
+def test_every_component_has_a_view_of_its_map_its_answers_and_its_fragments():
+    names = ("Map by stage", "Confidence", "Fragments")
+    for components in (1, 3):
+        tabs = _layout(components).root_container.contents[0]
+        assert tuple(each.name for each in tabs.contents) == names
+        for tab in tabs.contents:
+            shown = [tab] if components == 1 else tab.contents
+            assert len(shown) == components
+            for number, view in enumerate(shown, start=1):
+                assert components == 1 or view.name == f"Component {number}"
+                roots = {path.split("/")[1] for path in view.contents}
+                assert all(root.startswith("component_") == (number > 1) for root in roots)
+                assert number == 1 or roots == {f"component_{number}"}
 
 
 def test_bad_inputs_are_named(log, tmp_path, monkeypatch):

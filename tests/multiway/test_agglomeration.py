@@ -128,6 +128,34 @@ def test_what_several_pairs_say_counts_for_more_than_one_that_is_sure(poses):
     )
 
 
+def test_parts_that_are_known_stay_as_they_are(poses):
+    ids = sorted(poses)
+    elsewhere = from_yaw(0.7, (5, 2, 0))
+    known = {id_: elsewhere @ poses[id_] for id_ in ids[:6]}
+    # Within the part something else would be likelier.
+    within = replace(measured(poses, ids[:2], 0.97), T_target_source=from_yaw(1, (3, 1, 0)))
+    links = [measured(poses, pair, 0.6) for pair in pairwise(ids[5:])]
+    (part,) = joined_parts(ids, [within, *links], CLOSE, known=[known])
+    assert part.keys() == poses.keys()
+    assert max(distance for distance, _ in errors(poses, part)) < 1e-6
+    apart = joined_parts(ids, [within], CLOSE, known=[known])
+    assert [len(each) for each in apart] == [6] + [1] * (len(ids) - 6)
+    assert len(known) == 6
+
+
+def test_parts_that_are_known_are_joined_by_several_pairs(poses):
+    ids = sorted(poses)
+    frames = [from_yaw(0.7, (5, 2, 0)), from_yaw(-1, (0, 9, 0))]
+    known = [
+        {id_: frame @ poses[id_] for id_ in half}
+        for frame, half in zip(frames, (ids[:7], ids[7:]), strict=True)
+    ]
+    links = [measured(poses, pair, 0.5) for pair in ((ids[0], ids[8]), (ids[9], ids[3]))]
+    wrong = replace(measured(poses, (ids[1], ids[7]), 0.7), T_target_source=np.eye(4))
+    (part,) = joined_parts(ids, [wrong, *links], CLOSE, known=known)
+    assert max(distance for distance, _ in errors(poses, part)) < 1e-6
+
+
 def test_the_hypothesis_that_fits_is_taken(poses):
     m = next(m for m in ambiguous(poses, 0) if not is_true(m, poses))
     truth = relative(poses[m.pair.source], poses[m.pair.target])

@@ -2,6 +2,7 @@
 
 import signal
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -76,6 +77,25 @@ def test_a_process_solves_as_this_one_does_and_remembers_fragments(
     assert poses(without) == poses(solve(problem))
     assert not submap_edges(without)
     assert edges(solver.solve_with_points(problem, {}).result()) == edges(expected)
+
+
+def test_what_is_known_is_for_solutions_without_points(solver, problem, fragments, expected):
+    """The last word does not depend on what was found on the way."""
+    nonsense = replace(
+        expected,
+        nodes=tuple(replace(node, T_map_fragment=np.eye(4)) for node in expected.nodes),
+        edges=tuple(replace(edge, status=EdgeStatus.REJECTED) for edge in expected.edges),
+    )
+    misled = solver.solve_with_points(replace(problem, known=nonsense), fragments).result()
+    assert poses(misled) == poses(expected)
+    assert edges(misled) == edges(expected)
+    again = solver.solve(replace(problem, known=expected)).result()
+    assert [(e.pair, e.kind, e.status) for e in again.edges] == [
+        (e.pair, e.kind, e.status) for e in expected.edges
+    ]
+    assert submap_edges(again)
+    plain = replace(problem, config=CHOI, known=expected)
+    assert poses(solve(plain)) == poses(solve(replace(plain, known=None)))
 
 
 def test_another_configuration_prepares_anew(solver, problem, fragments, expected, tmp_path):

@@ -34,15 +34,18 @@ def test_topics_that_are_found_on_the_way_are_announced_by_the_thread_that_write
         recorder = Recorder()
         threads.clear()
         node = rclpy.create_node("stage_mapper")
-        topic = topics.stage_map(1)
-        publisher = node.create_publisher(PointCloud2, topic.name, publisher_qos(topic))
-        publisher.publish(PointCloud2())
+        found = (topics.stage_map(1), topics.component_map(1))
+        publishers = [
+            node.create_publisher(PointCloud2, topic.name, publisher_qos(topic)) for topic in found
+        ]
+        for publisher in publishers:
+            publisher.publish(PointCloud2())
         executor = SingleThreadedExecutor()
         executor.add_node(recorder)
         executor.add_node(node)
         end = time.monotonic() + 30
-        while publisher.get_subscription_count() == 0:
-            assert time.monotonic() < end, "the recorder does not find the topic"
+        while not all(publisher.get_subscription_count() for publisher in publishers):
+            assert time.monotonic() < end, "the recorder does not find the topics"
             executor.spin_once(timeout_sec=0.05)
         for _ in range(20):
             executor.spin_once(timeout_sec=0.05)
@@ -53,6 +56,5 @@ def test_topics_that_are_found_on_the_way_are_announced_by_the_thread_that_write
         rclpy.try_shutdown()
     assert len(writing) == 1
     assert threading.get_ident() not in writing
-    assert [message.topic for message in BagReader(output).messages({topic.type})] == [
-        f"/{topic.name}"
-    ]
+    recorded = {message.topic for message in BagReader(output).messages({topics.MAP.type})}
+    assert recorded == {f"/{topic.name}" for topic in found}
