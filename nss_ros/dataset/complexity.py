@@ -17,6 +17,8 @@ from nss_ros.errors import InputError
 
 _DISTANCES_AT_ONCE = 4_000_000
 _MOST_CELLS = 2.0**62  # they are numbered by int64
+_CELL_SIZE = 1.5  # in radii: with smaller ones the calls take longer than what they compute
+_ROUNDING = 1e-9  # more than products of coordinates lose, as a share of the radius squared
 _ROW, _COLUMN = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # upper triangle of a covariance
 
 
@@ -68,8 +70,9 @@ def _covariances(sums: NDArray[np.float64]) -> NDArray[np.float64]:
 def _neighbourhood_sums(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
     """Sums over each point's neighbours of 1, x, y, z and the products of coordinates, (n, 10).
 
-    Points are taken by cells of the radius, so that the neighbours of all points of a cell lie in
-    27 cells and one matrix product sums them; several times faster than lists of neighbours.
+    Points are taken by cells no smaller than the radius, so that the neighbours of all points of
+    a cell lie in 27 cells and one matrix product sums them; several times faster than lists of
+    neighbours.
     """
     keys, row, layer = _cell_keys(points, radius)
     order = np.argsort(keys, kind="stable")
@@ -78,39 +81,70 @@ def _neighbourhood_sums(points: NDArray[np.float64], radius: float) -> NDArray[n
     moments = np.column_stack(
         (np.ones(len(points)), centred, centred[:, _ROW] * centred[:, _COLUMN])
     )
+    axes = np.ascontiguousarray(points.T)
     cells, starts = np.unique(keys, return_index=True)
     ends = np.append(starts[1:], len(keys))
     columns = cells[:, None] + np.array(
         [x * layer + y * row for x in (-1, 0, 1) for y in (-1, 0, 1)]
     )
-    first = np.searchsorted(keys, columns - 1, side="left")
-    last = np.searchsorted(keys, columns + 1, side="right")
+    first = np.searchsorted(keys, columns - 1, side="left").tolist()
+    last = np.searchsorted(keys, columns + 1, side="right").tolist()
     sums = np.empty_like(moments)
-    for cell, (start, end) in enumerate(zip(starts, ends, strict=True)):
+    for cell, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
         near = np.concatenate(
             [np.arange(a, b) for a, b in zip(first[cell], last[cell], strict=True) if b > a]
         )
+        others = axes.take(near, axis=1)
+        within = _near_box(others, axes[:, start:end], radius)
+        near, others = near.take(within), others.take(within, axis=1)
         step = max(1, _DISTANCES_AT_ONCE // len(near))
         for begin in range(start, end, step):
             rows = slice(begin, min(begin + step, end))
-            met = _squared_distances(points[rows], points[near]) <= radius**2
-            sums[order[rows]] = met.astype(np.float64) @ moments[near]
+            met = _met(axes[:, rows], others, radius)
+            sums[order[rows]] = met.astype(np.float64) @ moments.take(near, axis=0)
     return sums
 
 
-def _cell_keys(points: NDArray[np.float64], size: float) -> tuple[NDArray[np.int64], int, int]:
+def _near_box(
+    points: NDArray[np.float64], content: NDArray[np.float64], radius: float
+) -> NDArray[np.intp]:
+    """Which points (3, n) are no farther than a radius, or hardly, from the box around others."""
+    middle = (content.max(axis=1) + content.min(axis=1))[:, None] / 2
+    half = np.ptp(content, axis=1)[:, None] / 2
+    beyond = np.maximum(np.abs(points - middle) - half, 0)
+    return np.flatnonzero(np.square(beyond).sum(axis=0) <= radius**2 * (1 + _ROUNDING))
+
+
+def _cell_keys(points: NDArray[np.float64], radius: float) -> tuple[NDArray[np.int64], int, int]:
     """Numbers of the points' cells, and what they grow by along y and along x (1 along z)."""
-    cells = np.floor((points - points.min(axis=0)) / size) + 1
+    cells = np.floor((points - points.min(axis=0)) / (_CELL_SIZE * radius)) + 1
     extent = cells.max(axis=0) + 2  # an empty cell on each side
     if extent.prod() > _MOST_CELLS:
         raise InputError(
             f"A point cloud of {np.ptp(points, axis=0).max():.3g} m across is too large for "
-            f"neighbourhoods of {size} m: remove points that are far off."
+            f"neighbourhoods of {radius} m: remove points that are far off."
         )
     x, y, z = cells.astype(np.int64).T
     row = int(extent[2])
     layer = int(extent[1]) * row
     return x * layer + y * row + z, row, layer
+
+
+def _met(
+    points: NDArray[np.float64], others: NDArray[np.float64], radius: float
+) -> NDArray[np.bool_]:
+    """Which of others (3, m) are within a radius of points (3, n), (n, m)."""
+    # Squared distances by one product, relative to a point among them so that digits are kept.
+    origin = points[:, :1]
+    near, far = points - origin, others - origin
+    left = np.stack((*(-2 * near), np.square(near).sum(axis=0), np.ones(near.shape[1])), axis=1)
+    right = np.stack((*far, np.ones(far.shape[1]), np.square(far).sum(axis=0)))
+    squared = left @ right
+    margin = radius**2 * _ROUNDING
+    met = squared <= radius**2 - margin
+    if np.count_nonzero(squared <= radius**2 + margin) > np.count_nonzero(met):
+        met = _squared_distances(points.T, others.T) <= radius**2  # one is at just the radius
+    return met
 
 
 def _squared_distances(
