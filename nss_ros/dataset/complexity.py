@@ -9,6 +9,8 @@ smallest eigenvalue of the covariance of all points within a radius of it, itsel
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,7 @@ from nss_ros.errors import InputError
 _DISTANCES_AT_ONCE = 4_000_000
 _MOST_CELLS = 2.0**62  # they are numbered by int64
 _CELL_SIZE = 1.5  # in radii: with smaller ones the calls take longer than what they compute
-_ROUNDING = 1e-9  # more than products of coordinates lose, as a share of the radius squared
+_SLACK = 1e-10  # rounding of squared distances, as a share of the radius squared
 _ROW, _COLUMN = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)  # upper triangle of a covariance
 
 
@@ -76,43 +78,66 @@ def _neighbourhood_sums(points: NDArray[np.float64], radius: float) -> NDArray[n
     """
     keys, row, layer = _cell_keys(points, radius)
     order = np.argsort(keys, kind="stable")
-    keys, points = keys[order], points[order]
-    centred = points - points.mean(axis=0)  # large coordinates would cancel digits
+    keys = keys[order]
+    centred = points[order] - points.mean(axis=0)  # large coordinates would cancel digits
     moments = np.column_stack(
         (np.ones(len(points)), centred, centred[:, _ROW] * centred[:, _COLUMN])
     )
-    axes = np.ascontiguousarray(points.T)
     cells, starts = np.unique(keys, return_index=True)
-    ends = np.append(starts[1:], len(keys))
+    ends = np.append(starts[1:], len(keys)).tolist()
     columns = cells[:, None] + np.array(
         [x * layer + y * row for x in (-1, 0, 1) for y in (-1, 0, 1)]
     )
     first = np.searchsorted(keys, columns - 1, side="left").tolist()
     last = np.searchsorted(keys, columns + 1, side="right").tolist()
+    middles, halves = _boxes(centred, starts)
+    squared_distances = _squared_distances(centred, radius)
+    axes = np.ascontiguousarray(centred.T)
     sums = np.empty_like(moments)
-    for cell, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+    for cell, (start, end) in enumerate(zip(starts.tolist(), ends, strict=True)):
         near = np.concatenate(
             [np.arange(a, b) for a, b in zip(first[cell], last[cell], strict=True) if b > a]
         )
-        others = axes.take(near, axis=1)
-        within = _near_box(others, axes[:, start:end], radius)
-        near, others = near.take(within), others.take(within, axis=1)
+        # Only those that the box around the cell's points is within reach of.
+        beyond = np.abs(axes.take(near, axis=1) - middles[cell])
+        beyond -= halves[cell]
+        np.maximum(beyond, 0, out=beyond)
+        beyond *= beyond
+        near = near[beyond.sum(axis=0) <= radius**2 * (1 + _SLACK)]
         step = max(1, _DISTANCES_AT_ONCE // len(near))
         for begin in range(start, end, step):
             rows = slice(begin, min(begin + step, end))
-            met = _met(axes[:, rows], others, radius)
+            met = squared_distances(rows, near) <= radius**2 * (1 + _SLACK)
             sums[order[rows]] = met.astype(np.float64) @ moments.take(near, axis=0)
     return sums
 
 
-def _near_box(
-    points: NDArray[np.float64], content: NDArray[np.float64], radius: float
-) -> NDArray[np.intp]:
-    """Which points (3, n) are no farther than a radius, or hardly, from the box around others."""
-    middle = (content.max(axis=1) + content.min(axis=1))[:, None] / 2
-    half = np.ptp(content, axis=1)[:, None] / 2
-    beyond = np.maximum(np.abs(points - middle) - half, 0)
-    return np.flatnonzero(np.square(beyond).sum(axis=0) <= radius**2 * (1 + _ROUNDING))
+def _boxes(
+    points: NDArray[np.float64], starts: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Middles and half extents, (m, 3, 1), of the boxes around points (n, 3) from each start on."""
+    low, high = np.minimum.reduceat(points, starts), np.maximum.reduceat(points, starts)
+    return ((low + high) / 2)[..., None], ((high - low) / 2)[..., None]
+
+
+def _squared_distances(
+    points: NDArray[np.float64], radius: float
+) -> Callable[[slice, NDArray[np.intp]], NDArray[np.float64]]:
+    """What gives squared distances of some points from others, by their rows."""
+
+    def by_product(rows: slice, others: NDArray[np.intp]) -> NDArray[np.float64]:
+        return np.asarray(left[rows] @ right.take(others, axis=1))
+
+    def by_differences(rows: slice, others: NDArray[np.intp]) -> NDArray[np.float64]:
+        apart = axes[:, rows, None] - axes.take(others, axis=1)[:, None]
+        return np.asarray(np.square(apart).sum(axis=0))
+
+    axes, ones = np.ascontiguousarray(points.T), np.ones(len(points))
+    squares = np.square(axes).sum(axis=0)
+    left = np.stack((*(-2 * axes), squares, ones), axis=1)
+    right = np.stack((*axes, ones, squares))
+    # The product loses digits of large coordinates, and must not lose a point at just the radius.
+    return by_product if squares.max() * 1e-14 <= radius**2 * _SLACK else by_differences
 
 
 def _cell_keys(points: NDArray[np.float64], radius: float) -> tuple[NDArray[np.int64], int, int]:
@@ -128,30 +153,3 @@ def _cell_keys(points: NDArray[np.float64], radius: float) -> tuple[NDArray[np.i
     row = int(extent[2])
     layer = int(extent[1]) * row
     return x * layer + y * row + z, row, layer
-
-
-def _met(
-    points: NDArray[np.float64], others: NDArray[np.float64], radius: float
-) -> NDArray[np.bool_]:
-    """Which of others (3, m) are within a radius of points (3, n), (n, m)."""
-    # Squared distances by one product, relative to a point among them so that digits are kept.
-    origin = points[:, :1]
-    near, far = points - origin, others - origin
-    left = np.stack((*(-2 * near), np.square(near).sum(axis=0), np.ones(near.shape[1])), axis=1)
-    right = np.stack((*far, np.ones(far.shape[1]), np.square(far).sum(axis=0)))
-    squared = left @ right
-    margin = radius**2 * _ROUNDING
-    met = squared <= radius**2 - margin
-    if np.count_nonzero(squared <= radius**2 + margin) > np.count_nonzero(met):
-        met = _squared_distances(points.T, others.T) <= radius**2  # one is at just the radius
-    return met
-
-
-def _squared_distances(
-    points: NDArray[np.float64], others: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    # By differences, not by a product: exact enough for points at just the radius.
-    result = np.square(points[:, None, 0] - others[None, :, 0])
-    result += np.square(points[:, None, 1] - others[None, :, 1])
-    result += np.square(points[:, None, 2] - others[None, :, 2])
-    return result

@@ -29,6 +29,7 @@ from nss_ros.geometry import Transform, inverse, relative, transform_points
 
 _HULL_TOLERANCE = 1e-9  # of barycentric coordinates
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
     """Points in their own frame with what every pair of them needs.
