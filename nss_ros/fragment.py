@@ -128,19 +128,26 @@ def occupied_voxels(
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64), 0
     # Column by column: numpy is slow along short rows.
-    cells = [np.floor(column / voxel_size).astype(np.int64) for column in points.T]
-    cells = [column - column.min() for column in cells]
-    extent = [int(column.max()) + 1 for column in cells]
-    keys = (cells[0] * extent[1] + cells[1]) * extent[2] + cells[2]
+    floors = [np.floor(column / voxel_size) for column in points.T]
+    lowest = [int(column.min()) for column in floors]
+    extent = [int(column.max()) + 1 - low for column, low in zip(floors, lowest, strict=True)]
     size = math.prod(extent)
+    if size >= 2**63:  # a point is far off
+        unique, voxels = np.unique(np.stack(floors, axis=1), axis=0, return_inverse=True)
+        return voxels.reshape(-1), len(unique)
+    integer = np.int32 if max(map(abs, (size, *lowest))) < 2**31 else np.int64
+    x, y, z = (column.astype(integer) - low for column, low in zip(floors, lowest, strict=True))
+    keys = ((x * extent[1] + y) * extent[2] + z).astype(np.int64)
     if size > _TABLE_SIZE:
         unique, voxels = np.unique(keys, return_inverse=True)
         return voxels, len(unique)
     # Several times faster than sorting.
     occupied = np.zeros(size, dtype=bool)
     occupied[keys] = True
-    numbers = np.cumsum(occupied, dtype=np.int32)
-    return numbers.take(keys).astype(np.int64) - 1, int(numbers[-1])
+    found = np.flatnonzero(occupied)
+    numbers = np.empty(size, dtype=np.int64)
+    numbers[found] = np.arange(len(found))
+    return numbers.take(keys), len(found)
 
 
 def voxel_means(

@@ -23,7 +23,7 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from nss_ros.errors import InputError, WorkerDiedError
 from nss_ros.listening import knock
-from nss_ros.worker_process import ONE_THREAD, end_with, stop_now, worker_pool
+from nss_ros.worker_process import WORKER_ENVIRONMENT, end_with, stop_now, worker_pool
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -107,7 +107,7 @@ def _on_joblib(
 ) -> Iterator[Result]:
     how = "generator" if in_order else "generator_unordered"
     bound = partial(_bound_call, os.getpid(), call)
-    with _one_thread(), parallel_config("loky"):
+    with _worker_environment(), parallel_config("loky"):
         calls = Parallel(
             n_jobs=workers or os.cpu_count() or 1,
             return_as=how,
@@ -213,9 +213,9 @@ def _death() -> WorkerDiedError:
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ |= dict.fromkeys(ONE_THREAD, "1")  # read by the workers when they start
+def _worker_environment() -> Iterator[None]:
+    before = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
+    os.environ |= WORKER_ENVIRONMENT  # read by the workers when they start
     try:
         yield
     finally:

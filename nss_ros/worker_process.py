@@ -13,7 +13,13 @@ from typing import Any
 
 _WATCH_PERIOD = 0.5
 # With more threads than cores numpy is slower, and its sums depend on the number of threads.
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# glibc gives freed arrays back to the system, which clears them again for the next ones: with its
+# defaults a tenth of the time of a simulated scan. Where a process has freed a large array, glibc
+# sets the limits to these by itself.
+_KEEP_MEMORY = {"MALLOC_MMAP_THRESHOLD_": str(2**25), "MALLOC_TRIM_THRESHOLD_": str(2**26)}
+WORKER_ENVIRONMENT = dict.fromkeys(_ONE_THREAD, "1") | _KEEP_MEMORY
+"""Environment variables of worker processes; libraries read them when they are loaded."""
 
 
 class _Process(SpawnProcess):
@@ -38,7 +44,7 @@ def worker_pool(
     """A pool of fresh processes.
 
     One thread each: the workers are the parallelism, and sums in one order make results
-    reproducible to the bit. The limits are set here, because the libraries read them when they
+    reproducible to the bit. The environment is set here, because the libraries read it when they
     are loaded, which in a fresh process is before any initializer runs.
 
     Args:
@@ -46,7 +52,7 @@ def worker_pool(
         initializer: called in each process with the arguments.
         arguments: picklable.
     """
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    os.environ.update(WORKER_ENVIRONMENT)
     return ProcessPoolExecutor(
         workers,
         mp_context=_Context(),

@@ -21,34 +21,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
+from nss_ros.dataset.proximity_grid import FAR, MET, NEAR, ProximityGrid, proximity_grid
 from nss_ros.errors import InputError
 from nss_ros.geometry import Transform, inverse, relative, transform_points
 
 _HULL_TOLERANCE = 1e-9  # of barycentric coordinates
-# Of a grid; a fragment has about ten per point at tau = 0.2 m. With many more a search is faster.
-_MOST_CELLS, _MOST_CELLS_PER_POINT = 2**16, 64
-_FAR, _NEAR, _MET = 0, 1, 2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Cells:
-    """A grid that tells for most positions whether a point lies within tau, without a search."""
-
-    origin: NDArray[np.float64]
-    size: float
-    labels: NDArray[np.uint8]
-
-    def at(self, positions: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """MET (surely a point within tau), FAR (surely none) or NEAR (to be searched), (n,)."""
-        cells = np.clip(
-            (positions - self.origin) / self.size, 0, np.array(self.labels.shape) - 1
-        ).astype(np.int32)
-        _, rows, columns = self.labels.shape
-        index = (cells[:, 0] * rows + cells[:, 1]) * columns + cells[:, 2]
-        return np.asarray(self.labels.reshape(-1)[index])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +36,7 @@ class Cloud:
 
     Attributes:
         points: (n, 3) metres, finite; kept as float64.
+        axes: (3, n) the same, a row per axis.
         tree: of the points.
         hull: tetrahedra that fill the convex hull; None for flat or tiny clouds.
         radius: largest distance of a point from the origin of its frame, metres.
@@ -66,17 +46,32 @@ class Cloud:
     """
 
     points: NDArray[np.floating]
+    axes: NDArray[np.float64] = field(init=False)
     tree: cKDTree = field(init=False)
     hull: Delaunay | None = field(init=False)
     radius: float = field(init=False)
-    _cells: dict[float, _Cells | None] = field(init=False, default_factory=dict)
+    _grids: dict[float, ProximityGrid | None] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         points = finite_points(self.points)
+        axes = np.ascontiguousarray(points.T)
         object.__setattr__(self, "points", points)
-        object.__setattr__(self, "tree", cKDTree(points))
+        object.__setattr__(self, "axes", axes)
+        # Built in half the time, and no slower to search.
+        tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
+        object.__setattr__(self, "tree", tree)
         object.__setattr__(self, "hull", _hull(points))
-        object.__setattr__(self, "radius", float(np.linalg.norm(points, axis=1).max(initial=0.0)))
+        radius = float(np.sqrt(np.square(axes).sum(axis=0).max(initial=0.0)))
+        object.__setattr__(self, "radius", radius)
+
+    def labels(
+        self, source: Cloud, T_self_source: Transform, tau: float
+    ) -> NDArray[np.uint8] | None:
+        """What the grid for tau says of another cloud's points, (n,); None without a grid."""
+        if tau not in self._grids:
+            self._grids[tau] = proximity_grid(self.axes, tau)
+        grid = self._grids[tau]
+        return None if grid is None else grid.at(T_self_source, source.axes)
 
     def met(
         self, positions: NDArray[np.float64], labels: NDArray[np.uint8] | None, tau: float
@@ -84,17 +79,10 @@ class Cloud:
         """Which positions (n, 3) have a point within tau, given their labels if there are any."""
         if labels is None:
             return _has_neighbour(positions, self.tree, tau)
-        result = np.asarray(labels == _MET)
-        near = np.flatnonzero(labels == _NEAR)
-        result[near] = _has_neighbour(positions[near], self.tree, tau)
+        result = np.asarray(labels == MET)
+        near = np.flatnonzero(labels == NEAR)
+        result[near] = _has_neighbour(positions.take(near, axis=0), self.tree, tau)
         return result
-
-    def labels(self, positions: NDArray[np.float64], tau: float) -> NDArray[np.uint8] | None:
-        """What the grid for tau says of positions (n, 3); None where a grid would be too large."""
-        if tau not in self._cells:
-            self._cells[tau] = _make_cells(finite_points(self.points), tau)
-        cells = self._cells[tau]
-        return None if cells is None else cells.at(positions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,12 +159,13 @@ def overlap_of_at_least(
     """
     if not tau > 0:
         raise InputError(f"The overlap distance tau must be positive, not {tau} m.")
-    source_in_target = transform_points(T_target_source, source.points)
-    target_in_source = transform_points(inverse(T_target_source), target.points)
-    source_labels = target.labels(source_in_target, tau)
-    target_labels = source.labels(target_in_source, tau)
+    T_source_target = inverse(T_target_source)
+    source_labels = target.labels(source, T_target_source, tau)
+    target_labels = source.labels(target, T_source_target, tau)
     if max(_most(source_labels), _most(target_labels)) < least:
         return None
+    source_in_target = transform_points(T_target_source, source.points)
+    target_in_source = transform_points(T_source_target, target.points)
     source_met = target.met(source_in_target, source_labels, tau)
     target_met = source.met(target_in_source, target_labels, tau)
     overlap, reverse = _share(source_met), _share(target_met)
@@ -212,25 +201,9 @@ def all_overlaps(
     return overlaps
 
 
-def _make_cells(points: NDArray[np.float64], tau: float) -> _Cells | None:
-    if len(points) == 0:
-        return None
-    # Two points of one cell are at most its diagonal apart, a little less than tau; points that
-    # are three cells apart along an axis have two cells, more than tau, between them.
-    size = tau / np.sqrt(3) * (1 - 1e-9)
-    origin = points.min(axis=0) - 3 * size
-    extent = np.floor((points.max(axis=0) - origin) / size) + 4
-    if extent.prod() > max(_MOST_CELLS, _MOST_CELLS_PER_POINT * len(points)):
-        return None
-    occupied = np.zeros(extent.astype(np.int64), dtype=np.uint8)
-    occupied[tuple(((points - origin) / size).astype(np.int32).T)] = 1
-    # The outermost layers stay FAR, so that positions beyond the grid can be clipped to it.
-    return _Cells(origin, size, occupied + maximum_filter(occupied, size=5))
-
-
 def _most(labels: NDArray[np.uint8] | None) -> float:
     """Upper bound of an overlap ratio."""
-    return 1.0 if labels is None else _share(labels != _FAR)
+    return 1.0 if labels is None else _share(labels != FAR)
 
 
 def _share(mask: NDArray[np.bool_]) -> float:

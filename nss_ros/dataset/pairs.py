@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
+import os
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -30,9 +33,11 @@ Column = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Report = Callable[[str, int, int], None]
 
-# Pairs are measured in blocks of two tiles of neighbouring fragments: each cloud is sent and
-# indexed once for up to sixteen pairs, and a block takes seconds.
+# Pairs are measured in blocks of two tiles of neighbouring fragments, and a block takes a second.
+# Consecutive blocks share a tile, and neighbours of neighbours: indexing a cloud takes as long as
+# several pairs of it, so a process keeps those that it used last.
 _TILE = 16
+_KEPT = 6 * _TILE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,12 +153,14 @@ def measure_pairs(
     candidates = _candidates(ids, transforms, surveys, config.overlap_distance)
     blocks = _blocks(ids, transforms, candidates)
     tables, done = [np.zeros((0, 5))], 0
-    block_tasks = (_BlockTask.of(block, sources, transforms, config) for block in blocks)
+    call = (os.getpid(), next(_CALLS))
+    block_tasks = (_BlockTask.of(call, block, sources, transforms, config) for block in blocks)
     for block, figures in zip(blocks, run(_measure, block_tasks, workers, engine), strict=True):
         tables.append(figures)
         done += len(block)
         if report:
             report("pairs", done, len(candidates))
+    _INDEXED.clear()
     return _table(ids, np.concatenate(tables), [survey.complexity for survey in surveys])
 
 
@@ -295,8 +302,12 @@ def _survey(task: _SurveyTask) -> _Survey:
 
 @dataclass(frozen=True, slots=True)
 class _BlockTask:
-    """Pairs (n, 2) of some fragments, whose points and poses come along."""
+    """Pairs (n, 2) of some fragments, whose points and poses come along.
 
+    `call` tells the fragments of one call of `measure_pairs` from those of all others.
+    """
+
+    call: tuple[int, int]
     pairs: NDArray[np.int64]
     sources: dict[int, _Source]
     poses: dict[int, Transform]
@@ -306,6 +317,7 @@ class _BlockTask:
     @classmethod
     def of(
         cls,
+        call: tuple[int, int],
         pairs: NDArray[np.int64],
         sources: Sequence[_Source],
         poses: Sequence[Transform],
@@ -313,6 +325,7 @@ class _BlockTask:
     ) -> _BlockTask:
         used = np.unique(pairs).tolist()
         return cls(
+            call,
             pairs,
             {i: sources[i] for i in used},
             {i: poses[i] for i in used},
@@ -323,7 +336,7 @@ class _BlockTask:
 
 def _measure(task: _BlockTask) -> Column:
     """Rows of source, target (indices), overlap, reverse overlap and temporal change."""
-    clouds = {i: Cloud(_points(source)) for i, source in task.sources.items()}
+    clouds = {i: _indexed((*task.call, i), source) for i, source in task.sources.items()}
     rows = []
     for i, j in task.pairs.tolist():
         T_target_source = relative(task.poses[i], task.poses[j])
@@ -339,6 +352,19 @@ def _measure(task: _BlockTask) -> Column:
                 )
             )
     return np.array(rows, dtype=np.float64).reshape(-1, 5)
+
+
+_CALLS = itertools.count()
+_INDEXED: OrderedDict[tuple[int, int, int], Cloud] = OrderedDict()
+"""The clouds that this process used last, by call and index."""
+
+
+def _indexed(key: tuple[int, int, int], source: _Source) -> Cloud:
+    cloud = _INDEXED.pop(key, None) or Cloud(_points(source))
+    _INDEXED[key] = cloud
+    if len(_INDEXED) > _KEPT:
+        _INDEXED.popitem(last=False)
+    return cloud
 
 
 def _points(source: _Source) -> NDArray[np.floating]:

@@ -35,19 +35,22 @@ def panorama(points: Points, height: int) -> NDArray[np.uint16]:
     """
     width = 2 * height
     x, y, z = np.asarray(points, dtype=np.float64).T
-    flat = np.hypot(x, y)
-    ranges = np.hypot(flat, z)
+    flat = np.sqrt(x * x + y * y)  # several times faster than np.hypot
+    ranges = np.sqrt(flat * flat + z * z)
     rows = np.rint((np.pi / 2 - np.arctan2(z, flat)) / np.pi * (height - 1)).astype(np.int64)
-    turn = np.arctan2(-x, y) % (2 * np.pi)
+    turn = np.arctan2(-x, y)
+    turn[turn < 0] += 2 * np.pi
     columns = np.rint(turn / (2 * np.pi) * (width - 1)).astype(np.int64)
     nearest = np.full(height * width, np.inf)
     np.minimum.at(nearest, rows * width + columns, ranges)
     image = nearest.reshape(height, width)
     image[:, 0] = image[:, -1] = np.minimum(image[:, 0], image[:, -1])  # one direction
     image = _without_single_holes(image)
-    seen = image < FULL_SCALE
-    values = np.rint(np.where(seen, image, 0) / FULL_SCALE * MISSING)
-    return np.where(seen, np.minimum(values, MISSING - 1), MISSING).astype(np.uint16)
+    seen = np.flatnonzero(image < FULL_SCALE)
+    values = np.full(image.shape, MISSING, dtype=np.uint16)
+    scaled = np.rint(image.reshape(-1).take(seen) / FULL_SCALE * MISSING)
+    values.reshape(-1)[seen] = np.minimum(scaled, MISSING - 1)
+    return values
 
 
 def panorama_points(ranges: NDArray[np.floating], cut: float) -> Points:
@@ -75,11 +78,21 @@ def panorama_ranges(image: NDArray[np.uint16]) -> NDArray[np.float64]:
 def _without_single_holes(image: NDArray[np.float64]) -> NDArray[np.float64]:
     """The image with pixels between two of one surface filled; inf is missing."""
     filled = image.copy()
-    around = np.pad(image[:, :-1], ((0, 0), (1, 2)), mode="wrap")  # the last column is the first
-    poles = np.pad(image, ((1, 1), (0, 0)), constant_values=np.inf)
-    for one, other in ((around[:, :-2], around[:, 2:]), (poles[:-2], poles[2:])):
+    missing = np.isinf(image)
+    turns = image.shape[1] - 1  # the last column is the first
+    level = np.pad(~missing[:, :-1], ((0, 0), (1, 2)), mode="wrap")
+    upright = np.pad(~missing, ((1, 1), (0, 0)))
+    for step, between in (
+        ((0, 1), level[:, :-2] & level[:, 2:]),
+        ((1, 0), upright[:-2] & upright[2:]),
+    ):
+        rows, columns = np.nonzero(missing & between)
+        one, other = (
+            image[rows + sign * step[0], (columns + sign * step[1]) % turns] for sign in (-1, 1)
+        )
         near, far = np.minimum(one, other), np.maximum(one, other)
-        hole = np.isinf(filled) & np.isfinite(far)
-        hole[hole] = far[hole] - near[hole] <= _SAME_SURFACE * near[hole]
-        filled[hole] = (near[hole] + far[hole]) / 2
+        same = far - near <= _SAME_SURFACE * near
+        rows, columns = rows[same], columns[same]
+        filled[rows, columns] = (near[same] + far[same]) / 2
+        missing[rows, columns] = False
     return filled

@@ -217,19 +217,26 @@ def _voxelized(
 ) -> tuple[Points, NDArray[np.float32], NDArray[np.uint32]]:
     """Mean point and normal of every voxel, and the triangle of the point nearest to the mean."""
     voxels, count = occupied_voxels(returns.points, voxel_size)
-    points = voxel_means(returns.points, voxels, count)
-    apart = returns.points.T - np.ascontiguousarray(points.T).take(voxels, axis=1)
+    # A row per axis throughout.
+    values = np.concatenate((returns.points.T, returns.normals.T))
+    points, normals = np.split(np.ascontiguousarray(voxel_means(values.T, voxels, count).T), 2)
+    apart = values[:3] - points.take(voxels, axis=1)
     squared = np.square(apart, out=apart).sum(axis=0)
     least = np.full(count, np.inf, dtype=np.float32)
     np.minimum.at(least, voxels, squared)
-    nearest = np.flatnonzero(squared == least[voxels])[::-1]
+    nearest = np.flatnonzero(squared == least.take(voxels))[::-1]
     chosen = np.empty(count, dtype=np.int64)
     chosen[voxels[nearest]] = nearest  # of several, the first stays
-    normals = voxel_means(returns.normals, voxels, count)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    lengths = np.sqrt(np.square(normals).sum(axis=0))
     # Both sides of a thin board may cancel out.
-    normals = np.where(lengths > 0.1, normals / np.maximum(lengths, 0.1), returns.normals[chosen])
-    return points, normals, returns.triangles[chosen]
+    cancelled = np.flatnonzero(lengths <= 0.1)
+    normals /= np.maximum(lengths, np.float32(0.1))
+    normals[:, cancelled] = values[3:].take(chosen[cancelled], axis=1)
+    return (
+        np.ascontiguousarray(points.T),
+        np.ascontiguousarray(normals.T),
+        returns.triangles.take(chosen),
+    )
 
 
 def _stream(seed: int, area: str, stage: int, spot: int, use: int) -> np.random.Generator:

@@ -59,6 +59,13 @@ def test_repeating_every_point_changes_nothing():
     np.testing.assert_allclose(twice[::2], surface_variation(points), atol=1e-12)
 
 
+def test_a_point_far_off_changes_nothing_for_the_others():
+    points = cloud(11)
+    far = surface_variation(np.concatenate((points, [[2000.0, -3000, 1000]])))
+    np.testing.assert_allclose(far[:-1], surface_variation(points), atol=1e-9)
+    assert far[-1] == 0
+
+
 def test_a_plane_has_none_and_a_full_ball_has_all():
     rng = np.random.default_rng(0)
     plane = np.column_stack((rng.uniform(-1, 1, (500, 2)), np.zeros(500)))
