@@ -37,7 +37,7 @@ def coarse_scores(moving: Tensor, still: Tensor) -> Tensor:
         moving: (c, k, k) pooled, as a source.
         still: (c, m, m) pooled, as a source too.
     """
-    size = _fast_size(moving.shape[-1] + still.shape[-1])
+    size = fast_size(moving.shape[-1] + still.shape[-1])
     spectra = spectrum(as_target(still), size)
     yaws = torch.arange(COARSE_YAWS) * (2 * math.pi / COARSE_YAWS)
     return torch.cat(
@@ -48,7 +48,7 @@ def coarse_scores(moving: Tensor, still: Tensor) -> Tensor:
     )
 
 
-def _fast_size(least: int) -> int:
+def fast_size(least: int) -> int:
     """The next even number that has no prime factors but 2, 3 and 5."""
     size = least + least % 2
     while not _is_fast(size):

@@ -29,12 +29,13 @@ from nss_ros.geometry import (
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
 from nss_ros.registration.gravity.correlation import score_parts
-from nss_ros.registration.gravity.network import GravityNetwork, as_target
-from nss_ros.registration.gravity.raster import Raster
+from nss_ros.registration.gravity.network import STRIDE, GravityNetwork, as_target
+from nss_ros.registration.gravity.raster import SIZE, Raster
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
-from nss_ros.registration.gravity.scan import LevelScan, reaches_far, scan_of
+from nss_ros.registration.gravity.scan import LevelScan, reaches_far, scan_of, wide_scan_of
 from nss_ros.registration.gravity.search import Search, search
 from nss_ros.registration.gravity.verifier import judge
+from nss_ros.registration.gravity.wide import wide_search
 from nss_ros.registration.gravity.weights import Networks, load_weights
 from nss_ros.registration.relative_transform import (
     Hypothesis,
@@ -90,10 +91,8 @@ class Gravity:
         if not fragment.gravity_aligned:
             generic = self._generic.prepare(fragment)
             return GravityFeatures(fragment.id, len(generic.points), None, None, generic)
-        features = self.prepare_scan(scan_of(fragment, self.config))
-        if reaches_far(fragment):
-            features = replace(features, generic=self._generic.prepare(fragment))
-        return features
+        prepared = wide_scan_of if reaches_far(fragment) else scan_of
+        return self.prepare_scan(prepared(fragment, self.config))
 
     def prepare_scan(self, scan: LevelScan) -> GravityFeatures:
         """Features of a levelled fragment."""
@@ -147,7 +146,10 @@ class Gravity:
 
     def search(self, source: GravityFeatures, target: GravityFeatures) -> Search:
         """The best poses before any refinement."""
-        return search(*self._maps(source, target), self.config.gravity.hypotheses)
+        maps = self._maps(source, target)
+        usual = all(each.shape[-1] == SIZE // STRIDE for each in maps)
+        searched = search if usual else wide_search
+        return searched(*maps, self.config.gravity.hypotheses)
 
     def _maps(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Tensor, Tensor]:
         """Features of the one as a source and of the other as a target."""

@@ -36,6 +36,21 @@ class LevelScan:
     maps: Raster
 
 
+def wide_scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
+    """The same of one that reaches far, with maps that are wider."""
+    import os
+    points = clean_points(fragment.points)
+    far = float(os.environ.get("FAR_POINTS", 16))
+    near = (points**2).sum(axis=1) < far**2
+    points = voxelize(points[near], _VOXEL_SIZE)
+    normals = surface_normals(points, config.fpfh.normal_radius)
+    beside = np.hypot(points[:, 0], points[:, 1]) < 4.8
+    floor = find_floor(points[beside], normals[beside])
+    size = int(os.environ.get("FAR_SIZE", 240))
+    maps = rasterize(points, normals, floor.height, size)
+    return LevelScan(fragment.id, points, normals, floor, maps)
+
+
 def scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
     """Points, normals, floor and maps of a levelled fragment."""
     points = clean_points(fragment.points)
