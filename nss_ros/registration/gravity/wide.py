@@ -11,7 +11,13 @@ import math
 import torch
 from torch import Tensor
 
-from nss_ros.registration.gravity.coarse import COARSE_YAWS, coarse_scores, fast_size, pooled
+from nss_ros.registration.gravity.coarse import (
+    COARSE_YAWS,
+    coarse_scores,
+    fast_size,
+    pooled,
+    shift_of_middles,
+)
 from nss_ros.registration.gravity.correlation import STEP, YAWS, correlate, rotated, spectrum
 from nss_ros.registration.gravity.network import as_target
 from nss_ros.registration.gravity.search import Peak, Search, best_places
@@ -42,18 +48,13 @@ def wide_search(source: Tensor, target: Tensor, count: int) -> Search:
             scores[chosen] = correlate(spectrum(rotated(source, angles[part]), size), spectra, size)
         places = best_places(scores, count)
         total = float(scores.flatten().logsumexp(dim=0))
-    offset = (target.shape[-1] - source.shape[-1]) / 2
-    peaks = tuple(
-        Peak(
-            float(each.cells[0]) * 2 * math.pi / YAWS,
-            _shift(float(each.cells[2]), size, offset),
-            _shift(float(each.cells[1]), size, offset),
-            each.score,
-            each.mass - total,
-        )
-        for each in places
-    )
-    return Search(peaks, total - math.log(scores.numel()))
+    sizes = source.shape[-1], target.shape[-1], size
+    peaks = []
+    for each in places:
+        y, x = shift_of_middles(each.cells[1:], *sizes) * STEP
+        yaw = float(each.cells[0]) * 2 * math.pi / YAWS
+        peaks.append(Peak(yaw, float(x), float(y), each.score, each.mass - total))
+    return Search(tuple(peaks), total - math.log(scores.numel()))
 
 
 def _promising_yaws(source: Tensor, target: Tensor) -> list[int]:
@@ -68,7 +69,3 @@ def _promising_yaws(source: Tensor, target: Tensor) -> list[int]:
             chosen |= beside
     return sorted(chosen)
 
-
-def _shift(cell: float, size: int, offset: float) -> float:
-    """Shift of a source's middle against its target's by the shift of first cells, metres."""
-    return ((cell if cell < size / 2 + offset else cell - size) - offset) * STEP
