@@ -160,6 +160,20 @@ def test_one_fragment_far_away_is_still_on_the_canvas(area):
     assert canvas_score(alone, canvas, far[NEXT[0]]) > 20
 
 
+@pytest.mark.parametrize("x", [25.0, -25.0])
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_search_finds_a_fragment_at_the_end_of_a_long_canvas(area, x, turned):
+    truth = from_yaw(1.0, (x, -8, 0))
+    long = Canvas.of(area.part(FIRST) | {NEXT[0]: truth}, area.prepared)
+    alone = area.canvas([NEXT[0]])
+    if turned:
+        error = canvas_search(long, alone, 5)[0] @ truth
+    else:
+        error = relative(canvas_search(alone, long, 5)[0], truth)
+    assert np.linalg.norm(error[:2, 3]) < 0.4
+    assert np.degrees(rotation_angle(error)) < 6
+
+
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5])
 @pytest.mark.parametrize(("source", "target"), [(SECOND, FIRST), (NEXT, FIRST), (FIRST, SECOND)])
 def test_the_search_finds_the_true_pose(area, source, target, yaw):

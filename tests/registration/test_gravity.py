@@ -121,16 +121,6 @@ def test_fragments_that_are_not_levelled_use_six_degrees_of_freedom(method, scan
     assert mixed.reason is Reason.NOT_LEVEL
 
 
-def test_two_scans_that_reach_far_are_registered_by_all_they_see(method, scans):
-    far = [Fragment(each.id, each.points * np.float32(3), True) for each in scans]
-    generic = load_method(RegistrationConfig(method="fpfh_ransac"))
-    answer = register(method, *far)
-    expected = register(generic, *far)
-    assert answer.method == "gravity"
-    assert np.array_equal(answer.T_target_source, expected.T_target_source)
-    assert register(method, far[0], scans[1]).reason is Reason.NONE
-
-
 def test_weights_that_are_none_are_an_error(tmp_path):
     path = tmp_path / "weights.safetensors"
     with pytest.raises(MethodError, match="weights"):

@@ -19,7 +19,13 @@ from torch import Tensor
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, from_yaw, inverse
-from nss_ros.registration.gravity.coarse import COARSE_YAWS, POOL, coarse_scores, pooled
+from nss_ros.registration.gravity.coarse import (
+    COARSE_YAWS,
+    POOL,
+    coarse_scores,
+    pooled,
+    shift_of_middles,
+)
 from nss_ros.registration.gravity.correlation import STEP, rotated
 from nss_ros.registration.gravity.network import CHANNELS, STRIDE, VECTORS, as_target
 from nss_ros.registration.gravity.raster import SIZE
@@ -220,15 +226,14 @@ def canvas_search(source: Canvas, target: Canvas, count: int) -> list[Transform]
     with torch.inference_mode():
         moving, still = (pooled(each) for each in _searched(source, target))
         scores = coarse_scores(moving, still)
-    size = scores.shape[-1]
-    offset = (still.shape[-1] - moving.shape[-1]) / 2
+    sizes = moving.shape[-1], still.shape[-1], scores.shape[-1]
     places = best_places(scores, count)
     transforms = []
     for place in places:
         if place.score < places[0].score - _MOST_MARGIN:
             break
         yaw, cells = place.cells[0] * 2 * math.pi / COARSE_YAWS, place.cells[:0:-1]
-        shift = np.where(cells < size / 2, cells, cells - size) - offset
+        shift = shift_of_middles(cells, *sizes)
         transform = from_yaw(yaw, (0.0, 0.0, 0.0))
         middle = target.centre + shift * STEP * POOL
         transform[:2, 3] = middle - transform[:2, :2] @ source.centre

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from nss_ros.registration.gravity.correlation import correlate, rotated, spectrum
@@ -31,13 +33,14 @@ def pooled(features: Tensor) -> Tensor:
 def coarse_scores(moving: Tensor, still: Tensor) -> Tensor:
     """Scores (COARSE_YAWS, n, n) of the poses of one square grid of features on another.
 
-    Rows and columns are shifts of the grids' first cells against each other, modulo n.
+    Rows and columns are shifts of the grids' first cells against each other, modulo n; see
+    `shift_of_middles`.
 
     Args:
         moving: (c, k, k) pooled, as a source.
         still: (c, m, m) pooled, as a source too.
     """
-    size = _fast_size(moving.shape[-1] + still.shape[-1])
+    size = fast_size(moving.shape[-1] + still.shape[-1])
     spectra = spectrum(as_target(still), size)
     yaws = torch.arange(COARSE_YAWS) * (2 * math.pi / COARSE_YAWS)
     return torch.cat(
@@ -48,7 +51,23 @@ def coarse_scores(moving: Tensor, still: Tensor) -> Tensor:
     )
 
 
-def _fast_size(least: int) -> int:
+def shift_of_middles(
+    cells: NDArray[np.float64], moving: int, still: int, size: int
+) -> NDArray[np.float64]:
+    """How far the middle of a moved grid lies from that of the other, in cells.
+
+    Args:
+        cells: shifts of the first cells, modulo `size`; between cells, too.
+        moving: cells along each side of the grid that is moved.
+        still: of the other.
+        size: at least the sum of both.
+    """
+    offset = (still - moving) / 2
+    # The shifts at which the grids touch are from -moving to still.
+    return np.where(cells < size / 2 + offset, cells, cells - size) - offset
+
+
+def fast_size(least: int) -> int:
     """The next even number that has no prime factors but 2, 3 and 5."""
     size = least + least % 2
     while not _is_fast(size):

@@ -81,12 +81,12 @@ def score_parts(source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor) ->
     """What descriptors, normals and free space add to the scores of poses, (k, 3).
 
     Args:
-        source: (c, h, w), as a source.
-        target: (c, h, w), as a target.
+        source: (c, n, n), as a source.
+        target: (c, m, m), as a target.
         yaws: (k,) radians.
         shifts: (k, 2), x and y, metres.
     """
-    products = (rotated(source, yaws, shifts) * target).sum(dim=(2, 3))
+    products = (rotated(source, yaws, shifts, target.shape[-1]) * target).sum(dim=(2, 3))
     groups = (products[:, : VECTORS.start], products[:, VECTORS], products[:, VECTORS.stop :])
     return torch.stack([each.sum(dim=1) for each in groups], dim=1)
 

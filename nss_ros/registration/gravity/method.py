@@ -2,8 +2,9 @@
 
 Levelled fragments differ by yaw and translation only. All yaw angles and shifts in x and y are
 scored at once on learned maps (`search`), the best hypotheses are aligned (`refinement`), and
-each gets the probability that it is right (`verifier`). Fragments that are not levelled, and two
-that reach much farther than a Matterport, are left to `fpfh_ransac`.
+each gets the probability that it is right (`verifier`). Fragments that reach much farther than a
+Matterport have wider maps and a search of their own (`wide`). Those that are not levelled are left
+to `fpfh_ransac`.
 """
 
 from __future__ import annotations
@@ -32,10 +33,17 @@ from nss_ros.registration.gravity.correlation import score_parts
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.raster import Raster
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
-from nss_ros.registration.gravity.scan import LevelScan, reaches_far, scan_of
+from nss_ros.registration.gravity.scan import LevelScan, reaches_far, scan_of, wide_scan_of
 from nss_ros.registration.gravity.search import Search, search
 from nss_ros.registration.gravity.verifier import judge
 from nss_ros.registration.gravity.weights import Networks, load_weights
+from nss_ros.registration.gravity.wide import (
+    empty_weight,
+    evened,
+    is_wide,
+    weighed,
+    wide_search,
+)
 from nss_ros.registration.relative_transform import (
     Hypothesis,
     Reason,
@@ -62,8 +70,7 @@ class GravityFeatures:
         shape: what alignment needs; None when it is not levelled or has too few points.
         maps: (2, CHANNELS, h, w) float32, as a source: for a pair of different stages, and for
             one of one stage; None when `shape` is.
-        generic: features for `fpfh_ransac` when it is not levelled, or reaches farther than the
-            maps; else None.
+        generic: features for `fpfh_ransac` when it is not levelled, else None.
     """
 
     id: FragmentId
@@ -90,10 +97,8 @@ class Gravity:
         if not fragment.gravity_aligned:
             generic = self._generic.prepare(fragment)
             return GravityFeatures(fragment.id, len(generic.points), None, None, generic)
-        features = self.prepare_scan(scan_of(fragment, self.config))
-        if reaches_far(fragment):
-            features = replace(features, generic=self._generic.prepare(fragment))
-        return features
+        prepared = wide_scan_of if reaches_far(fragment) else scan_of
+        return self.prepare_scan(prepared(fragment, self.config))
 
     def prepare_scan(self, scan: LevelScan) -> GravityFeatures:
         """Features of a levelled fragment."""
@@ -107,8 +112,7 @@ class Gravity:
         self, source: GravityFeatures, target: GravityFeatures, seed: int
     ) -> RelativeTransform:
         """`T_target_source` of two prepared fragments; the seed is for those not levelled."""
-        alike = (source.shape is None) == (target.shape is None)
-        if alike and source.generic is not None and target.generic is not None:
+        if source.generic is not None and target.generic is not None:
             answer = self._generic.register(source.generic, target.generic, seed)
             return replace(answer, method=self.name)
         pair = FragmentPair(source.id, target.id)
@@ -139,23 +143,33 @@ class Gravity:
             alignment = aligned(source.shape, target.shape, peak, self.config)
             if not _is_known(alignment.refined.T_target_source, alignments):
                 alignments.append(alignment)
-        parts = score_parts(*self._maps(source, target), *_planar(alignments)).tolist()
+        maps = self._maps(source, target)
+        parts = score_parts(*maps, *_planar(alignments)).tolist()
+        weight = empty_weight(_same_stage(source, target)) if is_wide(*maps) else 0.0
         return tuple(
-            judged(source.shape, target.shape, alignment, each, found, self.config)
+            judged(source.shape, target.shape, alignment, each, found, self.config, weight)
             for alignment, each in zip(alignments, parts, strict=True)
         )
 
     def search(self, source: GravityFeatures, target: GravityFeatures) -> Search:
         """The best poses before any refinement."""
-        return search(*self._maps(source, target), self.config.gravity.hypotheses)
+        maps, count = self._maps(source, target), self.config.gravity.hypotheses
+        if not is_wide(*maps):
+            return search(*maps, count)
+        assert source.shape is not None
+        assert target.shape is not None
+        same_stage = _same_stage(source, target)
+        return weighed(wide_search(*maps), source.shape, target.shape, same_stage, count)
 
     def _maps(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Tensor, Tensor]:
         """Features of the one as a source and of the other as a target."""
         assert source.maps is not None
         assert target.maps is not None
-        kind = int(FragmentPair(source.id, target.id).same_stage)
-        moving = torch.from_numpy(source.maps[kind])
-        return moving, as_target(torch.from_numpy(target.maps[kind]))
+        kind = int(_same_stage(source, target))
+        moving, still = torch.from_numpy(source.maps[kind]), torch.from_numpy(target.maps[kind])
+        if is_wide(moving, still):
+            moving = evened(moving, still)
+        return moving, as_target(still)
 
     def _answer(
         self, pair: FragmentPair, source: GravityFeatures, target: GravityFeatures
@@ -225,6 +239,10 @@ def hypothesis_spread(
     weights = weights / max(float(weights.sum()), 1e-12)
     stack = np.array(twists)
     return np.asarray(np.einsum("k,ki,kj->ij", weights, stack, stack))
+
+
+def _same_stage(source: GravityFeatures, target: GravityFeatures) -> bool:
+    return FragmentPair(source.id, target.id).same_stage
 
 
 def _planar(alignments: Sequence[Alignment]) -> tuple[Tensor, Tensor]:

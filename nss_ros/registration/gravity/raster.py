@@ -25,7 +25,6 @@ NORMAL_X, NORMAL_Y, HORIZONTAL, OCCUPIED, FREE = range(LAYERS)
 CELL = 0.1
 #: Cells along each side: 4.8 m to each side of the sensor, a little more than a Matterport sees.
 SIZE = 96
-_RADIUS = CELL * SIZE / 2
 # A cell of 0.1 x 0.1 x 0.5 m that a wall crosses holds about this many voxels of 0.075 m.
 _FULL = 5.0
 _FLOOR_BIN = 0.02
@@ -71,8 +70,13 @@ def find_floor(points: NDArray[np.floating], normals: NDArray[np.floating]) -> F
     return Floor(float(np.median(heights[near])), float(near.sum() / len(points)))
 
 
-def rasterize(points: NDArray[np.floating], normals: NDArray[np.floating], floor: float) -> Raster:
-    """The maps of a fragment, (slices, layers, SIZE, SIZE) float16; the sensor is in the middle.
+def rasterize(
+    points: NDArray[np.floating],
+    normals: NDArray[np.floating],
+    floor: float,
+    size: int = SIZE,
+) -> Raster:
+    """The maps of a fragment, (slices, layers, size, size) float16; the sensor is in the middle.
 
     Rows count along y and columns along x, in cells of 0.1 m.
 
@@ -80,33 +84,34 @@ def rasterize(points: NDArray[np.floating], normals: NDArray[np.floating], floor
         points: (n, 3), metres, sensor frame, z up.
         normals: (n, 3), unit, towards the sensor.
         floor: height of the floor in the sensor frame, metres.
+        size: cells along each side.
     """
     above = points[:, 2] - floor
     height = np.searchsorted(SLICES, above, side="right") - 1
-    columns = np.floor(points[:, 0] / CELL).astype(np.int64) + SIZE // 2
-    rows = np.floor(points[:, 1] / CELL).astype(np.int64) + SIZE // 2
-    inside = (height >= 0) & (height < SLICE_COUNT) & (np.hypot(*points[:, :2].T) < _RADIUS)
-    shape = (SLICE_COUNT, SIZE, SIZE)
+    columns = np.floor(points[:, 0] / CELL).astype(np.int64) + size // 2
+    rows = np.floor(points[:, 1] / CELL).astype(np.int64) + size // 2
+    inside = (height >= 0) & (height < SLICE_COUNT) & (np.hypot(*points[:, :2].T) < CELL * size / 2)
+    shape = (SLICE_COUNT, size, size)
     cells = np.ravel_multi_index((height[inside], rows[inside], columns[inside]), shape)
-    size = SLICE_COUNT * SIZE * SIZE
+    count = SLICE_COUNT * size * size
     kept = np.asarray(normals, dtype=np.float64)[inside]
     weights = (kept[:, 0], kept[:, 1], np.abs(kept[:, 2]), np.ones(len(kept)))
-    maps = np.empty((SLICE_COUNT, LAYERS, SIZE, SIZE), dtype=np.float16)
-    sums = [np.bincount(cells, weight, minlength=size).reshape(shape) for weight in weights]
+    maps = np.empty((SLICE_COUNT, LAYERS, size, size), dtype=np.float16)
+    sums = [np.bincount(cells, weight, minlength=count).reshape(shape) for weight in weights]
     scale = np.minimum(sums[OCCUPIED] / _FULL, 1) / np.maximum(sums[OCCUPIED], 1)
     for layer, total in enumerate(sums):
         maps[:, layer] = total * scale
-    maps[:, FREE] = _free(points, floor)
+    maps[:, FREE] = _free(points, floor, size)
     return maps
 
 
-def _free(points: NDArray[np.floating], floor: float) -> NDArray[np.float32]:
-    """Share of the height of each cell that was seen to be empty, (slices, SIZE, SIZE)."""
+def _free(points: NDArray[np.floating], floor: float, size: int) -> NDArray[np.float32]:
+    """Share of the height of each cell that was seen to be empty, (slices, size, size)."""
     image = RangeImage.of(points)
-    middle = (np.arange(SIZE) - SIZE // 2 + 0.5) * CELL
+    middle = (np.arange(size) - size // 2 + 0.5) * CELL
     x, y = np.meshgrid(middle, middle)
-    free = np.zeros((SLICE_COUNT, SIZE, SIZE), dtype=np.float32)
-    inside = np.hypot(x, y) < _RADIUS
+    free = np.zeros((SLICE_COUNT, size, size), dtype=np.float32)
+    inside = np.hypot(x, y) < CELL * size / 2
     for number, (low, high) in enumerate(pairwise(SLICES)):
         for share in _FREE_HEIGHTS:
             z = np.full(x.shape, floor + low + share * (high - low))

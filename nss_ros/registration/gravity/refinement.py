@@ -174,6 +174,7 @@ def judged(
     parts: Sequence[float],
     search: Search,
     config: RegistrationConfig,
+    empty_weight: float = 0.0,
 ) -> Candidate:
     """An alignment with its signs.
 
@@ -184,11 +185,14 @@ def judged(
         parts: of its score, see `score_parts`.
         search: that it came from.
         config: settings.
+        empty_weight: what the share of points in free space takes from the score, see `wide`.
     """
     peak, refined = alignment.peak, alignment.refined
     transform = refined.T_target_source
     forth = support(source.moderate, target.surface, transform, config)
     seen = agreement(source.view, target.view, transform)
+    descriptors, normals, free_space = parts
+    parts = descriptors, normals, free_space - empty_weight * seen.free
     peak_pose = from_yaw(peak.yaw, (peak.x, peak.y, transform[2, 3]))
     difference = relative(transform, peak_pose)
     stiffness = np.linalg.eigvalsh(refined.information[np.ix_((0, 1, 5), (0, 1, 5))])[0]

@@ -13,8 +13,15 @@ from nss_ros.registration.gravity.raster import Floor, Raster, find_floor, raste
 
 _VOXEL_SIZE = 0.075
 _FARTHEST = 12.0
-# The maps end at 4.8 m. Two scanners that see much farther are better told apart by all they see.
+# Maps of the usual size end at 4.8 m. Who sees much farther gets wide ones.
 _MOST_REACH = 7.0
+#: Cells along each side of wide maps, which end at 12 m.
+WIDE_SIZE = 240
+# What is seen beyond wide maps still tells what is empty, and turns an alignment right.
+_FARTHEST_WIDE = 24.0
+# The floor of a wide scan is that on which the tripod stands, not the ground outside or a storey
+# below, metres from it.
+_FLOOR_RADIUS = 4.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +33,7 @@ class LevelScan:
         points: (n, 3) float32, voxelised, metres, sensor frame.
         normals: (n, 3) float32, unit, towards the sensor.
         floor: where the floor is.
-        maps: (slices, layers, SIZE, SIZE) float16, see `raster`.
+        maps: (slices, layers, h, w) float16, see `raster`; of SIZE or of WIDE_SIZE cells.
     """
 
     id: FragmentId
@@ -37,7 +44,7 @@ class LevelScan:
 
 
 def scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
-    """Points, normals, floor and maps of a levelled fragment."""
+    """Points, normals, floor and maps of the usual size of a levelled fragment."""
     points = clean_points(fragment.points)
     near = (points**2).sum(axis=1) < _FARTHEST**2
     points = voxelize(points[near], _VOXEL_SIZE)
@@ -46,8 +53,20 @@ def scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
     return LevelScan(fragment.id, points, normals, floor, rasterize(points, normals, floor.height))
 
 
+def wide_scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
+    """The same of a fragment that reaches far, with wide maps."""
+    points = clean_points(fragment.points)
+    near = (points**2).sum(axis=1) < _FARTHEST_WIDE**2
+    points = voxelize(points[near], _VOXEL_SIZE)
+    normals = surface_normals(points, config.fpfh.normal_radius)
+    beside = np.hypot(points[:, 0], points[:, 1]) < _FLOOR_RADIUS
+    floor = find_floor(points[beside], normals[beside])
+    maps = rasterize(points, normals, floor.height, WIDE_SIZE)
+    return LevelScan(fragment.id, points, normals, floor, maps)
+
+
 def reaches_far(fragment: Fragment) -> bool:
-    """Whether most of what the scanner saw is beyond the maps."""
+    """Whether a part of what the scanner saw is so far off that wide maps tell more."""
     points = clean_points(fragment.points)
     if len(points) == 0:
         return False

@@ -23,6 +23,8 @@ from nss_ros.registration.gravity.correlation import (
 _APART_YAWS, _APART_CELLS = 3, 2
 _BATCH = 24
 _PEAKS = 4000
+# Weights stay finite, however large scores are.
+_MOST_BETTER = 500.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +121,8 @@ def best_places(scores: Tensor, count: int) -> list[Place]:
         beside = left & (np.abs(offsets) <= (_APART_YAWS, _APART_CELLS, _APART_CELLS)).all(axis=1)
         left &= ~beside
         touching = (np.abs(offsets) <= 1).all(axis=1)
-        weights = np.exp(values[touching] - values[top])
+        # A cell of a better peak may touch it.
+        weights = np.exp(np.minimum(values[touching] - values[top], _MOST_BETTER))
         # Between the cells: the mean pose of the cell and those that touch it.
         cells = grid[top] + weights @ offsets[touching] / weights.sum()
         mass = float(np.logaddexp.reduce(values[beside]))

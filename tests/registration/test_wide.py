@@ -1,0 +1,201 @@
+"""Scans that reach far, by a scanner of its own that looks at a small procedural floor."""
+
+import pickle
+
+import numpy as np
+import pytest
+import torch
+
+from nss_ros.config import RegistrationConfig, SiteConfig
+from nss_ros.fragment import Fragment, FragmentId, voxelize
+from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
+from nss_ros.registration.gravity.network import CHANNELS, as_target
+from nss_ros.registration.gravity.raster import SIZE
+from nss_ros.registration.gravity.scan import WIDE_SIZE, reaches_far, scan_of, wide_scan_of
+from nss_ros.registration.gravity.search import Peak, Search, search
+from nss_ros.registration.gravity.wide import is_wide, weighed, wide_search
+from nss_ros.registration.method import load_method
+from nss_ros.registration.relative_transform import Reason
+from nss_ros.simulation.procedural.floor import build_floor
+from nss_ros.simulation.scene import Scene
+
+CONFIG = RegistrationConfig(method="gravity")
+PLACES = {
+    FragmentId("1", 1, 1): (6.0, 5.0, 1.6, 0.4),
+    FragmentId("1", 1, 2): (12.5, 6.5, 1.75, 2.1),
+    FragmentId("1", 2, 1): (9.0, 5.5, 1.5, -1.3),
+}
+
+
+def laser_scan(scene, place, rng):
+    """Points of a spherical pattern of 0.6 deg up to 30 m, sensor frame, and the pose."""
+    x, y, height, yaw = place
+    azimuth, elevation = np.meshgrid(np.arange(0, 360, 0.6), np.arange(-60, 90, 0.6))
+    azimuth, elevation = np.radians(azimuth.ravel()), np.radians(elevation.ravel())
+    level = np.cos(elevation)
+    rays = np.stack((level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=1)
+    pose = from_yaw(yaw, (x, y, height))
+    distances = scene.cast(pose[:3, 3], rays @ pose[:3, :3].T).distances.astype(np.float64)
+    hit = (distances > 0.4) & (distances < 30)
+    distances = distances[hit] + rng.normal(0, 0.003, hit.sum())
+    return voxelize(rays[hit] * distances[:, None], 0.05), pose
+
+
+@pytest.fixture(scope="module")
+def site():
+    """Fragments and true poses of two spots of the first stage and of one of the second."""
+    plan = SiteConfig(use="office", width=24, depth=14, stages=3)
+    floor = build_floor("1", plan, 3)
+    rng = np.random.default_rng(1)
+    fragments, poses = {}, {}
+    for id_, place in PLACES.items():
+        points, pose = laser_scan(Scene(floor.stage_mesh(id_.stage).mesh), place, rng)
+        fragments[id_], poses[id_] = Fragment(id_, points, True), pose
+    return fragments, poses
+
+
+@pytest.fixture(scope="module")
+def method():
+    return load_method(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def features(method, site):
+    fragments, _ = site
+    return {id_: method.prepare(fragment) for id_, fragment in fragments.items()}
+
+
+ONE, OTHER, LATER = PLACES
+
+
+def test_they_have_wide_maps_and_no_other_features(site, features):
+    fragments, _ = site
+    for id_ in PLACES:
+        assert reaches_far(fragments[id_])
+        assert features[id_].maps.shape[-1] == WIDE_SIZE // 2
+        assert features[id_].generic is None
+
+
+@pytest.mark.parametrize(("source", "target"), [(ONE, OTHER), (OTHER, ONE), (ONE, LATER)])
+def test_they_are_registered_and_known_to_be_right(method, site, features, source, target):
+    _, poses = site
+    answer = method.register(features[source], features[target], 0)
+    error = relative(answer.T_target_source, relative(poses[source], poses[target]))
+    assert np.linalg.norm(error[:3, 3]) < 0.1
+    assert np.degrees(rotation_angle(error)) < 1
+    assert answer.confidence > 0.4
+    total = answer.confidence + sum(each.probability for each in answer.alternatives)
+    assert total <= 1 + 1e-6
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_one_that_reaches_far_is_registered_with_one_that_does_not(method, site, features, turned):
+    fragments, poses = site
+    points = fragments[LATER].points
+    near = Fragment(LATER, points[np.linalg.norm(points, axis=1) < 4.5], True)
+    assert not reaches_far(near)
+    both = [features[ONE], method.prepare(near)]
+    truth = relative(poses[ONE], poses[LATER])
+    answer = method.register(*(both[::-1] if turned else both), 0)
+    found = inverse(answer.T_target_source) if turned else answer.T_target_source
+    hypotheses = [found]
+    for each in answer.alternatives:
+        T = each.T_target_source
+        hypotheses.append(inverse(T) if turned else T)
+    errors = [relative(each, truth) for each in hypotheses]
+    assert answer.reason is Reason.NONE
+    assert min(np.linalg.norm(each[:3, 3]) for each in errors) < 0.2
+
+
+def test_the_same_bytes_come_again_and_after_pickling(method, features):
+    first = method.register(features[ONE], features[OTHER], 0)
+    copies = pickle.loads(pickle.dumps((features[ONE], features[OTHER])))
+    again = method.register(*copies, 1)
+    assert first.T_target_source.tobytes() == again.T_target_source.tobytes()
+    assert first.confidence == again.confidence
+
+
+def test_the_floor_is_that_of_the_tripod_not_the_ground_far_below():
+    rng = np.random.default_rng(0)
+    floor, ground = rng.uniform(-4, 4, (9000, 3)), rng.uniform(-15, 15, (120_000, 3))
+    floor[:, 2], ground[:, 2] = -1.6, -3.1
+    ground = ground[np.abs(ground[:, :2]).max(axis=1) > 5]
+    wall = rng.uniform(-4, 4, (4000, 3))
+    wall[:, 0], wall[:, 2] = 4, wall[:, 2] / 4
+    points = np.concatenate((floor, ground, wall)).astype(np.float32)
+    fragment = Fragment(ONE, points, True)
+    assert wide_scan_of(fragment, CONFIG).floor.height == pytest.approx(-1.6, abs=0.03)
+
+
+def patch(rng, size):
+    return torch.from_numpy(rng.normal(0, 0.05, (CHANNELS, size, size)).astype(np.float32))
+
+
+@pytest.mark.parametrize("corner", [(0, 0), (72, 72), (72, 4), (36, 40)])
+@pytest.mark.parametrize("small_moves", [True, False])
+def test_a_small_map_is_found_anywhere_on_a_wide_one(corner, small_moves):
+    # Smooth, as features are: coarse cells must be like fine ones.
+    wide = torch.nn.functional.interpolate(patch(np.random.default_rng(2), 30)[None], size=120)[0]
+    row, column = corner
+    small = wide[:, row : row + 48, column : column + 48].contiguous()
+    # As a target, surfaces meet free space: only what counts for both is compared.
+    wide, small = wide.clone(), small.clone()
+    for each in (wide, small):
+        each[26:] = 0
+    x, y = (column + 24 - 60) * 0.2, (row + 24 - 60) * 0.2
+    if small_moves:
+        best = wide_search(small, as_target(wide)).peaks[0]
+    else:
+        best, x, y = wide_search(wide, as_target(small)).peaks[0], -x, -y
+    assert min(best.yaw, 2 * np.pi - best.yaw) < 0.03
+    assert best.x == pytest.approx(x, abs=0.11)
+    assert best.y == pytest.approx(y, abs=0.11)
+
+
+def test_usual_maps_have_the_best_pose_of_the_full_search(method, site):
+    fragments, _ = site
+    prepared = [method.prepare_scan(scan_of(fragments[each], CONFIG)) for each in (ONE, LATER)]
+    source, target = (torch.from_numpy(each.maps[0]) for each in prepared)
+    assert source.shape[-1] == SIZE // 2
+    assert not is_wide(source, target)
+    full, quick = search(source, as_target(target), 5), wide_search(source, as_target(target))
+    best, other = full.peaks[0], quick.peaks[0]
+    assert other.score == pytest.approx(best.score, abs=0.01)
+    assert (other.x, other.y) == pytest.approx((best.x, best.y), abs=0.05)
+    assert quick.evidence <= full.evidence + 1e-3
+
+
+def test_a_pose_that_puts_walls_into_seen_free_space_falls_behind(site, features):
+    _, poses = site
+    truth = relative(poses[ONE], poses[OTHER])
+    yaw = float(np.arctan2(truth[1, 0], truth[0, 0]))
+    right = Peak(yaw, float(truth[0, 3]), float(truth[1, 3]), 10.0, -2.0)
+    wrong = Peak(yaw + 0.5, right.x + 2.0, right.y, 12.0, -0.2)
+    shapes = features[ONE].shape, features[OTHER].shape
+    found = weighed(Search((wrong, right), 3.0), *shapes, same_stage=True, count=2)
+    assert found.peaks[0].x == right.x
+    assert found.evidence < 3.0
+    assert sum(np.exp(peak.mass) for peak in found.peaks) == pytest.approx(1)
+    assert len(weighed(found, *shapes, same_stage=True, count=1).peaks) == 1
+
+
+def test_points_of_nowhere_and_of_other_storeys_do_no_harm(method, site, features):
+    fragments, poses = site
+    rng = np.random.default_rng(4)
+    points = fragments[ONE].points
+    below = rng.uniform((2, -3, -4.9), (8, 3, -4.8), (4000, 3)).astype(np.float32)
+    broken = np.full((50, 3), np.nan, dtype=np.float32)
+    fragment = Fragment(ONE, np.concatenate((points, below, broken)), True)
+    answer = method.register(method.prepare(fragment), features[OTHER], 0)
+    truth = relative(poses[ONE], poses[OTHER])
+    assert np.linalg.norm(answer.T_target_source[:3, 3] - truth[:3, 3]) < 0.1
+
+
+def test_a_moved_frame_moves_the_answer(method, site, features):
+    fragments, poses = site
+    turn = from_yaw(0.8, (0.0, 0.0, 0.0))
+    points = transform_points(turn, fragments[OTHER].points).astype(np.float32)
+    moved = method.prepare(Fragment(OTHER, points, True))
+    answer = method.register(features[ONE], moved, 0)
+    error = relative(answer.T_target_source, turn @ relative(poses[ONE], poses[OTHER]))
+    assert np.linalg.norm(error[:3, 3]) < 0.1
