@@ -22,6 +22,7 @@ from nss_ros.fragment import (
 )
 from nss_ros.geometry import Transform
 from nss_ros.parallel import run
+from nss_ros.simulation.mesh import Mesh
 from nss_ros.simulation.occupancy import door_triangles, occupancy_map
 from nss_ros.simulation.panorama import FULL_SCALE, panorama
 from nss_ros.simulation.rig import Returns, draw_pose, scan
@@ -251,5 +252,8 @@ _SCENES: dict[tuple[int, int, int], Scene] = {}
 def _scene(stage: _Stage) -> Scene:
     if stage.key not in _SCENES:
         _SCENES.clear()
-        _SCENES[stage.key] = Scene(stage.mesh.mesh, stage.mesh.materials)
+        # Copies: joblib shares large arrays as files, and in the end waits a second for those that
+        # are still in use.
+        mesh = Mesh(np.array(stage.mesh.mesh.vertices), np.array(stage.mesh.mesh.triangles))
+        _SCENES[stage.key] = Scene(mesh, np.array(stage.mesh.materials))
     return _SCENES[stage.key]
