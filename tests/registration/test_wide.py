@@ -11,7 +11,7 @@ from nss_ros.fragment import Fragment, FragmentId, voxelize
 from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
 from nss_ros.registration.gravity.network import CHANNELS, as_target
 from nss_ros.registration.gravity.raster import SIZE
-from nss_ros.registration.gravity.scan import WIDE_SIZE, reaches_far, scan_of, wide_scan_of
+from nss_ros.registration.gravity.scan import WIDE_SIZE, is_wide_scan, scan_of, wide_scan_of
 from nss_ros.registration.gravity.search import Peak, Search, search
 from nss_ros.registration.gravity.wide import is_wide, weighed, wide_search
 from nss_ros.registration.method import load_method
@@ -71,7 +71,7 @@ ONE, OTHER, LATER = PLACES
 def test_they_have_wide_maps_and_no_other_features(site, features):
     fragments, _ = site
     for id_ in PLACES:
-        assert reaches_far(fragments[id_])
+        assert is_wide_scan(fragments[id_])
         assert features[id_].maps.shape[-1] == WIDE_SIZE // 2
         assert features[id_].generic is None
 
@@ -89,11 +89,11 @@ def test_they_are_registered_and_known_to_be_right(method, site, features, sourc
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_one_that_reaches_far_is_registered_with_one_that_does_not(method, site, features, turned):
+def test_one_that_is_wide_scan_is_registered_with_one_that_does_not(method, site, features, turned):
     fragments, poses = site
     points = fragments[LATER].points
     near = Fragment(LATER, points[np.linalg.norm(points, axis=1) < 4.5], True)
-    assert not reaches_far(near)
+    assert not is_wide_scan(near)
     both = [features[ONE], method.prepare(near)]
     truth = relative(poses[ONE], poses[LATER])
     answer = method.register(*(both[::-1] if turned else both), 0)

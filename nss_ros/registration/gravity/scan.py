@@ -13,7 +13,9 @@ from nss_ros.registration.gravity.raster import Floor, Raster, find_floor, raste
 
 _VOXEL_SIZE = 0.075
 _FARTHEST = 12.0
-# Maps of the usual size end at 4.8 m. Who sees much farther gets wide ones.
+# Maps of the usual size end at 4.8 m. A scanner that sees farther than this gets wide ones; what
+# is made for the usual size alone takes it up to a greater reach.
+_WIDE_REACH = 5.0
 _MOST_REACH = 7.0
 #: Cells along each side of wide maps, which end at 12 m.
 WIDE_SIZE = 240
@@ -65,9 +67,19 @@ def wide_scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
     return LevelScan(fragment.id, points, normals, floor, maps)
 
 
+def is_wide_scan(fragment: Fragment) -> bool:
+    """Whether wide maps tell more of a fragment than those of the usual size."""
+    return _reach(fragment) > _WIDE_REACH
+
+
 def reaches_far(fragment: Fragment) -> bool:
-    """Whether a part of what the scanner saw is so far off that wide maps tell more."""
+    """Whether most of what the scanner saw is beyond maps of the usual size."""
+    return _reach(fragment) > _MOST_REACH
+
+
+def _reach(fragment: Fragment) -> float:
+    """Horizontal distance within which the scanner saw nearly everything, metres."""
     points = clean_points(fragment.points)
     if len(points) == 0:
-        return False
-    return float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)) > _MOST_REACH
+        return 0.0
+    return float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90))

@@ -35,7 +35,7 @@ from nss_ros.registration.gravity.search import Peak, Search, best_places
 _COARSE_POSES, _MOST_YAWS = 80, 24
 # Poses that are weighed by what both scanners saw.
 _POSES = 200
-_EMPTY_WITHIN, _EMPTY_ACROSS = 150.0, 20.0
+_EMPTY_WITHIN, _EMPTY_ACROSS = 150.0, 40.0
 _USUAL = SIZE // STRIDE
 _FINE = YAWS // COARSE_YAWS
 _BATCH = 4
