@@ -13,14 +13,13 @@ from nss_ros.errors import BagError, InputError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.parallel import run
 from nss_ros.registration.gravity.proposals import (
+    PAIRS_PER_CALL,
     Sketch,
+    evidence_calls,
     pair_evidence,
     proposed_pairs,
     sketch,
 )
-
-# Pairs that a worker looks at in one call, a few seconds.
-_CALL = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +111,9 @@ def _evidence(
     sketches: Sequence[Sketch], workers: int, report: Callable[[str, int, int], None]
 ) -> dict[FragmentPair, float]:
     pairs = [(a, b) for a, b in combinations(sketches, 2) if a.id.area == b.id.area]
-    calls = [pairs[start : start + _CALL] for start in range(0, len(pairs), _CALL)]
+    calls = evidence_calls(pairs)
     evidence: dict[FragmentPair, float] = {}
     for number, each in enumerate(run(pair_evidence, calls, workers), 1):
-        report("pairs", min(number * _CALL, len(pairs)), len(pairs))
+        report("pairs", min(number * PAIRS_PER_CALL, len(pairs)), len(pairs))
         evidence |= each
     return evidence

@@ -20,7 +20,7 @@ from nss_ros.dataset.challenge_folder import (
     read_folder,
     read_fragment,
 )
-from nss_ros.dataset.levelness import look_levelled
+from nss_ros.dataset.levelness import files_look_levelled
 from nss_ros.dataset.manifest import MANIFEST_NAME, read_manifest
 from nss_ros.dataset.release import Release, is_release, read_release
 from nss_ros.dataset.release_import import as_challenge, as_dataset
@@ -112,7 +112,7 @@ def import_folder(
             gravity_aligned = release.manifest.gravity_aligned
         if kind is Kind.DATASET:
             files = list(release.point_files.items())
-            level = look_levelled(files) if gravity_aligned is None else gravity_aligned
+            level = files_look_levelled(files) if gravity_aligned is None else gravity_aligned
             _import_dataset(release, output, level, json)
             return
         chosen = [str(name) for name in sets] if sets else list(SETS)
@@ -130,7 +130,7 @@ def import_folder(
         gravity_aligned = read_manifest(folder).gravity_aligned
     looked = gravity_aligned is None
     if gravity_aligned is None:
-        gravity_aligned = look_levelled(list(challenge.point_files.items()))
+        gravity_aligned = files_look_levelled(list(challenge.point_files.items()))
     fragments = _Fragments(challenge, gravity_aligned, quiet=json, strict=layout == "release")
     metadata = {"source": f"NSS {layout} {folder.resolve().name}"}
     write_bag(

@@ -47,7 +47,7 @@ def looks_levelled(points: Points) -> bool:
     return bool(tilt < _MOST_TILT and floor.mean() > _LEAST_FLOOR)
 
 
-def look_levelled(files: Sequence[tuple[FragmentId, Path]]) -> bool:
+def files_look_levelled(files: Sequence[tuple[FragmentId, Path]]) -> bool:
     """Whether nearly all of some of the fragments of PLY files look levelled.
 
     Raises:

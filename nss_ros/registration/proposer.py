@@ -16,11 +16,14 @@ from pathlib import Path
 from nss_ros.config import ProposalConfig, RegistrationConfig
 from nss_ros.errors import RunError
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.registration.gravity.proposals import Sketch, pair_evidence, proposed_pairs, sketch
+from nss_ros.registration.gravity.proposals import (
+    Sketch,
+    evidence_calls,
+    pair_evidence,
+    proposed_pairs,
+    sketch,
+)
 from nss_ros.worker_process import stop_now, worker_pool
-
-# Pairs that a worker looks at in one call, a few seconds.
-_CALL = 64
 
 
 @dataclass(slots=True)
@@ -155,8 +158,7 @@ class Proposer:
             if (first := self._sketches[pair.source]) and (second := self._sketches[pair.target])
         ]
         round_.evidence = [
-            self._pool.submit(pair_evidence, looked_at[start : start + _CALL])
-            for start in range(0, len(looked_at), _CALL)
+            self._pool.submit(pair_evidence, call) for call in evidence_calls(looked_at)
         ]
 
     def _chosen(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from nss_ros.bag import read_log
-from nss_ros.dataset.levelness import look_levelled, looks_levelled
+from nss_ros.dataset.levelness import files_look_levelled, looks_levelled
 from nss_ros.dataset.ply import write_ply
 from nss_ros.fragment import FragmentId
 
@@ -71,8 +71,8 @@ def test_a_few_that_do_not_look_it_do_not_matter(tmp_path, scans):
         file = tmp_path / f"{number}.ply"
         write(file, points[:50] if number == 3 else points)
         files.append((FragmentId("1", 1, number), file))
-    assert look_levelled(files)
+    assert files_look_levelled(files)
     for _, file in files[:2]:
         write(file, scans[0][:50])
-    assert not look_levelled(files)
-    assert not look_levelled([])
+    assert not files_look_levelled(files)
+    assert not files_look_levelled([])

@@ -22,6 +22,9 @@ from nss_ros.registration.gravity.method import feature_maps
 from nss_ros.registration.gravity.scan import reaches_far, scan_of
 from nss_ros.registration.gravity.weights import load_weights
 
+#: Pairs that a worker looks at in one call, a few seconds.
+PAIRS_PER_CALL = 64
+
 
 @dataclass(frozen=True, slots=True)
 class Sketch:
@@ -60,6 +63,13 @@ def overlap_evidence(source: Sketch, target: Sketch) -> float:
         )
         scores = coarse_scores(moving, still).flatten()
         return float(scores.logsumexp(dim=0)) - math.log(len(scores))
+
+
+def evidence_calls(
+    pairs: Sequence[tuple[Sketch, Sketch]],
+) -> list[Sequence[tuple[Sketch, Sketch]]]:
+    """Pairs, divided into calls of `pair_evidence` for worker processes."""
+    return [pairs[start : start + PAIRS_PER_CALL] for start in range(0, len(pairs), PAIRS_PER_CALL)]
 
 
 def pair_evidence(pairs: Sequence[tuple[Sketch, Sketch]]) -> dict[FragmentPair, float]:
