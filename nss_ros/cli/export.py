@@ -82,12 +82,21 @@ def export(
         summary = {"graphs": len(graphs), "nodes": len(nodes), "outliers": outliers}
         message = f"{len(graphs)} graph(s), {len(nodes)} nodes, of them {outliers} outliers"
     else:
-        summary = {"fragments": WRITERS[output.suffix](content, output)}
-        message = f"{summary['fragments']} fragments"
+        written = WRITERS[output.suffix](content, output)
+        placed = len(content.pose_graph.poses()) if content.pose_graph else 0
+        summary = {"fragments": written, "left_out": placed - written}
+        message = f"{written} fragments"
     if json:
         print_json({"file": str(output), **summary})
         return
     console.print(f"Wrote {message}: {output}", soft_wrap=True, highlight=False)
+    if left_out := summary.get("left_out"):
+        console.print(
+            f"Left out {left_out} fragments of other components: nothing links them to the largest "
+            "one, so they have no place in its frame.",
+            style="yellow",
+            soft_wrap=True,
+        )
 
 
 def _export_dataset(

@@ -1,3 +1,4 @@
+import json
 import os
 import sys
 from argparse import Namespace
@@ -119,6 +120,23 @@ def test_merged_map(room_log, tmp_path):
     ]
     np.testing.assert_allclose(merged, np.concatenate(expected), atol=1e-5)
     assert b"property int stage" in (tmp_path / "map.ply").read_bytes()[:300]
+
+
+@pytest.mark.parametrize(("ending", "left_out"), [("tum", 2), ("ply", 2), ("g2o", 0)])
+def test_components_without_a_place_in_the_frame_are_told(
+    room, tmp_path, record, capsys, ending, left_out
+):
+    nodes = room.ground_truth.nodes
+    apart = (*nodes[:4], *(replace(node, component=1) for node in nodes[4:]))
+    truth = replace(room.ground_truth, nodes=apart)
+    write_bag(tmp_path / "bag", room.fragments, room.pairs, [truth])
+    log = record(tmp_path / "bag")
+    export(log, tmp_path / f"out.{ending}")
+    said = capsys.readouterr().out
+    assert f"Wrote {6 - left_out} fragments" in said
+    assert ("Left out 2 fragments of other components" in said) == (left_out > 0)
+    export(log, tmp_path / f"out.{ending}", json=True)
+    assert json.loads(capsys.readouterr().out)["left_out"] == left_out
 
 
 def test_what_cannot_be_exported_says_so(room_log, tmp_path):
