@@ -12,6 +12,8 @@ from nss_ros.config.section import Fraction, Section
 _MIN_RADIUS = 1.5  # of a curved wing's middle, in depths of the floor
 
 Use = Literal["office", "residential", "hospital", "laboratory"]
+#: What can be left out of a floor.
+Part = Literal["ceiling_slab", "beam", "prop", "facade", "services", "ceilings", "contents"]
 
 
 class WingConfig(Section):
@@ -54,6 +56,10 @@ class SiteConfig(Section):
     )
     deviation: float = Field(
         1.0, ge=0, le=5, description="Factor of the deviations of what is built from its plan"
+    )
+
+    without: tuple[Part, ...] = Field(
+        (), description="Parts left out, as in many design models: no ceiling slab, no services"
     )
 
     @model_validator(mode="after")

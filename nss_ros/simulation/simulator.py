@@ -125,6 +125,9 @@ def choose_spots(
 ) -> list[Spot]:
     """The spots of all stages, in canonical order; each stage chooses its own.
 
+    Where the spots of a stage are limited in number, all stages begin near the first spot of the
+    first: a part of the building is scanned again and again, not another one each time.
+
     Args:
         site: to be scanned.
         config: viewpoints and range of the rig.
@@ -137,13 +140,14 @@ def choose_spots(
         InputError: a stage has no free floor to stand on.
     """
     numbers = range(1, site.stages + 1)
-    calls = (
-        (stage, door_triangles(site, stage.mesh), site.area, site.extent, site.floor_height,
-         config, seed)
-        for stage in _stages(site, numbers)
-    )  # fmt: skip
+    chosen: list[_Places] = []
+    if config.viewpoints.spots_per_stage:
+        chosen += run(_choose_places, _place_calls(site, numbers[:1], config, seed), workers)
+    start = tuple(chosen[0][0][0, :2].tolist()) if chosen else None
+    calls = _place_calls(site, numbers[len(chosen) :], config, seed, start)
+    chosen += run(_choose_places, calls, workers)
     spots = []
-    for stage, (places, left_out) in zip(numbers, run(_choose_places, calls, workers), strict=True):
+    for stage, (places, left_out) in zip(numbers, chosen, strict=True):
         if left_out and warn is not None:
             warn(_cut_off(site.area, stage, left_out))
         spots += [
@@ -169,7 +173,24 @@ def _stages(site: Site, numbers: Iterable[int]) -> Iterator[_Stage]:
         yield latest
 
 
-_PlaceCall = tuple[_Stage, NDArray[np.bool_], str, Rectangle, float, SimulationConfig, int]
+_Start = tuple[float, float] | None
+_PlaceCall = tuple[_Stage, NDArray[np.bool_], str, Rectangle, float, SimulationConfig, int, _Start]
+_Places = tuple[NDArray[np.float64], list[float]]
+
+
+def _place_calls(
+    site: Site,
+    numbers: Iterable[int],
+    config: SimulationConfig,
+    seed: int,
+    start: _Start = None,
+) -> Iterator[_PlaceCall]:
+    """What `_choose_places` needs for some stages."""
+    return (
+        (stage, door_triangles(site, stage.mesh), site.area, site.extent, site.floor_height,
+         config, seed, start)
+        for stage in _stages(site, numbers)
+    )  # fmt: skip
 
 
 def _cut_off(area: str, stage: int, sizes: Sequence[float]) -> str:
@@ -180,14 +201,14 @@ def _cut_off(area: str, stage: int, sizes: Sequence[float]) -> str:
     )
 
 
-def _choose_places(call: _PlaceCall) -> tuple[NDArray[np.float64], list[float]]:
+def _choose_places(call: _PlaceCall) -> _Places:
     """Where the tripod is put in a stage, and the sizes of regions that it does not get to."""
-    stage, of_door, area, extent, floor_height, config, seed = call
+    stage, of_door, area, extent, floor_height, config, seed, start = call
     number = stage.key[-1]
     occupancy = occupancy_map(_scene(stage), of_door, extent, floor_height, config.viewpoints)
     rng = _stream(seed, area, number, 0, _VIEWPOINT_STREAM)
     try:
-        places = choose_viewpoints(occupancy, config.viewpoints, config.rig.max_range, rng)
+        places = choose_viewpoints(occupancy, config.viewpoints, config.rig.max_range, rng, start)
     except InputError as error:
         raise InputError(f"Area {area}, stage {number}: {error}") from error
     return places, unreached_floor(occupancy, config.viewpoints)

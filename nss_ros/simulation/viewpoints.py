@@ -21,12 +21,18 @@ _SAME_VIEW = 0.5
 """A place this near to one that sees nothing new is not tried, metres."""
 _DRAWS = 64
 """Places drawn at a time."""
+_NEAR_START = 3
+"""The first spot is at most this many of the longest spacings farther than it must."""
 _WORTH_TELLING = 10.0
 """Floor that nobody can reach is told from this size on; shafts are smaller, square metres."""
 
 
 def choose_viewpoints(
-    occupancy: OccupancyMap, config: ViewpointConfig, view_range: float, rng: np.random.Generator
+    occupancy: OccupancyMap,
+    config: ViewpointConfig,
+    view_range: float,
+    rng: np.random.Generator,
+    start: tuple[float, float] | None = None,
 ) -> NDArray[np.float64]:
     """Spots, (n, 3): x, y and the z of the floor there, metres, map frame, in order of choice.
 
@@ -39,6 +45,7 @@ def choose_viewpoints(
         config: spacing, clearance, and when to stop.
         view_range: how far a spot sees, metres.
         rng: of the draws.
+        start: x and y, metres, map frame, near which the first spot is; None: anywhere.
 
     Raises:
         InputError: there is no free floor to stand on; the message names the setting.
@@ -46,10 +53,15 @@ def choose_viewpoints(
     clearance = occupancy.clearance()
     standing = clearance >= config.min_clearance
     spots: list[tuple[int, int]] = []
-    for region in occupancy.reachable(config.passage, config.min_region):
+    regions = occupancy.reachable(config.passage, config.min_region)
+    away = _distances(occupancy, start)
+    if start is not None:
+        regions.sort(key=lambda region: float(away[region].min()))
+    for region in regions:
         weight = np.where(region & standing, np.minimum(clearance, _MOST_WEIGHT), 0.0)
         most = config.spots_per_stage - len(spots) if config.spots_per_stage else len(weight.flat)
-        search = _Search(occupancy, region, weight, view_range, config)
+        reach = away[weight > 0].min(initial=math.inf) + _NEAR_START * config.max_spacing
+        search = _Search(occupancy, region, weight, away <= reach, view_range, config)
         spots += search.spots(most, rng)
     if not spots:
         raise InputError(
@@ -90,6 +102,7 @@ class _Search:
         occupancy: the map of the stage.
         region: (nx, ny) floor to be seen.
         weight: (nx, ny) chance of a cell to be drawn; 0 where no tripod can stand.
+        begin: (nx, ny) where the first spot may be.
         view_range: metres.
         config: spacing and least gain.
     """
@@ -99,6 +112,7 @@ class _Search:
         occupancy: OccupancyMap,
         region: NDArray[np.bool_],
         weight: NDArray[np.float64],
+        begin: NDArray[np.bool_],
         view_range: float,
         config: ViewpointConfig,
     ) -> None:
@@ -107,6 +121,7 @@ class _Search:
         self._occupied = np.pad(occupancy.occupied, self._reach, constant_values=True)
         self._unseen = np.pad(region, self._reach)
         self._weight = np.pad(weight, self._reach)
+        self._begin = np.pad(begin, self._reach)
         self._close = np.zeros_like(self._unseen)
         self._in_sight = np.zeros_like(self._unseen)
         self._rays = _sight_rays(round(view_range / cell))
@@ -129,14 +144,19 @@ class _Search:
 
     def _draw(self, rng: np.random.Generator, first: bool) -> list[tuple[int, int]]:
         """Some places, drawn by their chance, each once; none if there are none left."""
-        for allowed in [None] if first else [self._in_sight, self._close]:
-            chance = self._weight if allowed is None else np.where(allowed, self._weight, 0.0)
-            total = np.cumsum(chance)
-            if total[-1] > 0:
-                drawn = np.searchsorted(total, rng.random(_DRAWS) * total[-1], side="right")
-                i, j = np.unravel_index(np.minimum(drawn, chance.size - 1), chance.shape)
-                return list(dict.fromkeys(zip(i.tolist(), j.tolist(), strict=True)))
-        return []
+        if not first:
+            return self._drawn(self._in_sight, rng) or self._drawn(self._close, rng)
+        anywhere = self._drawn(np.ones_like(self._begin), rng)
+        return [each for each in anywhere if self._begin[each]] or self._drawn(self._begin, rng)
+
+    def _drawn(self, allowed: NDArray[np.bool_], rng: np.random.Generator) -> list[tuple[int, int]]:
+        chance = np.where(allowed, self._weight, 0.0)
+        total = np.cumsum(chance)
+        if total[-1] == 0:
+            return []
+        drawn = np.searchsorted(total, rng.random(_DRAWS) * total[-1], side="right")
+        i, j = np.unravel_index(np.minimum(drawn, chance.size - 1), chance.shape)
+        return list(dict.fromkeys(zip(i.tolist(), j.tolist(), strict=True)))
 
     def _try(self, place: tuple[int, int], first: bool) -> bool:
         """Make a place a spot if it sees enough, else rule it out with those around it."""
@@ -167,6 +187,16 @@ class _Search:
         visible = np.zeros_like(self._distance, dtype=bool)
         visible[i[seen] + self._reach, j[seen] + self._reach] = True
         return visible
+
+
+def _distances(occupancy: OccupancyMap, start: tuple[float, float] | None) -> NDArray[np.float64]:
+    """How far each cell is from a place, (nx, ny), metres; 0 without one."""
+    shape = occupancy.occupied.shape
+    if start is None:
+        return np.zeros(shape)
+    cells = np.indices(shape, dtype=np.int64).reshape(2, -1).T
+    away = np.hypot(*(occupancy.centres(cells) - np.array(start)).T)
+    return np.asarray(away.reshape(shape))
 
 
 def _sight_rays(reach: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

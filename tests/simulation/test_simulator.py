@@ -9,7 +9,7 @@ from nss_ros.simulation.mesh import box
 from nss_ros.simulation.panorama import panorama_points
 from nss_ros.simulation.procedural.floor import build_floor
 from nss_ros.simulation.scene import Scene
-from nss_ros.simulation.simulator import simulate_site
+from nss_ros.simulation.simulator import choose_spots, simulate_site
 from nss_ros.simulation.site import Rectangle, Site
 
 CONFIG = SimulationConfig(
@@ -73,6 +73,14 @@ def test_spots_differ_between_stages(scans):
         for stage in (1, 2)
     )
     assert not np.isclose(first[:, None], second[None]).all(axis=2).any()
+
+
+def test_with_few_spots_a_later_stage_begins_near_the_first():
+    long = build_floor("X2", SiteConfig(stages=3, width=60), 7)
+    for seed in range(3):
+        places = {spot.id: spot.place for spot in choose_spots(long, CONFIG, seed, workers=1)}
+        first = [places[FragmentId("X2", stage, 1)][:2] for stage in (1, 2, 3)]
+        assert np.linalg.norm(np.subtract(first[1:], first[0]), axis=1).max() < 15
 
 
 def test_same_seed_same_bytes_whatever_the_workers_and_what_is_skipped(site, scans):

@@ -67,6 +67,19 @@ def test_spots_keep_their_distances():
             assert distances.min() <= CONFIG.max_spacing
 
 
+def test_the_first_spot_is_near_the_start_also_in_a_smaller_region():
+    wall = box((5.0, -1.0, 0.0), (5.1, 7.0, 3.0))
+    config = CONFIG.model_copy(update={"min_region": 0.1, "max_spacing": 1.2, "min_spacing": 0.8})
+    mapped = occupancy(wall, config=config)
+    for seed in range(4):
+        for start in ((7.5, 1.0), (0.5, 5.5), (6.0, -40.0)):
+            rng = np.random.default_rng(seed)
+            spots = choose_viewpoints(mapped, config, 4.5, rng, start)
+            assert (spots[0, 0] > 5) == (start[0] > 5)
+            nearest = np.hypot(*(np.clip(start, 0.6, (7.4, 5.4)) - spots[0, :2]))
+            assert nearest < 3 * config.max_spacing + 0.5
+
+
 def test_spots_are_added_until_all_is_seen():
     area = Rectangle(0.0, 0.0, 30.0, 6.0)
     floor = box((-1, -1, -0.2), (31, 7, 0.0))

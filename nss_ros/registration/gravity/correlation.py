@@ -70,9 +70,11 @@ def correlate(turned: Tensor, target: Tensor, shifts: int = SHIFTS) -> Tensor:
         shifts: along each axis.
     """
     # One channel after the other: the products of all of them would not stay in the cache.
-    product = turned[:, 0].conj() * target[0]
-    for channel in range(1, len(target)):
-        product = product + turned[:, channel].conj() * target[channel]
+    # Unbound, since the gradient of an index is as large as what it is taken from.
+    first, *rest = zip(turned.unbind(1), target.unbind(0), strict=True)
+    product = first[0].conj() * first[1]
+    for moving, still in rest:
+        product = product + moving.conj() * still
     scores: Tensor = torch.fft.irfft2(product, s=(shifts, shifts))
     return scores
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from nss_ros.config import SiteConfig
+from nss_ros.config.site import Part
 from nss_ros.simulation.element import Element
 from nss_ros.simulation.procedural.ceilings import (
     build_ceilings,
@@ -45,10 +46,10 @@ def build_floor(area: str, config: SiteConfig, seed: int) -> Site:
     streams = [np.random.default_rng((seed, key, part)) for part in range(8)]
     plan = draw_plan(config, streams[0])
     programme = draw_programme(config, plan.zone_order(), streams[1])
-    elements = [
-        *build_structure(plan, programme, config.renovation, config.deviation, streams[2]),
-        *build_facade(plan, programme, config.renovation, streams[3]),
-    ]
+    structure = build_structure(plan, programme, config.renovation, config.deviation, streams[2])
+    facade = build_facade(plan, programme, config.renovation, streams[3])
+    elements = [element for element in structure if element.kind not in config.without]
+    elements += _unless("facade", facade, config)
     elements = [replace(element, mesh=plan.grid.built(element.mesh)) for element in elements]
     if config.renovation:
         elements += _fitted_out(plan, replace(programme, former=True), config, streams[4:6])
@@ -72,12 +73,18 @@ def _fitted_out(
     raised = draw_raised_floors(layout.rooms, programme, rngs[3])
     built = [
         *build_partitions(layout.walls, plan.height, programme, config.deviation, rngs[0]),
-        *build_services(plan, layout.rooms, programme, rngs[1]),
-        *build_ceilings(plan, layout.rooms, programme, rngs[2]),
+        *_unless("services", build_services(plan, layout.rooms, programme, rngs[1]), config),
+        *_unless("ceilings", build_ceilings(plan, layout.rooms, programme, rngs[2]), config),
         *build_raised_floors(layout.rooms, raised, rngs[4]),
     ]
     elements = [replace(element, mesh=plan.grid.built(element.mesh)) for element in built]
-    return elements + build_contents(plan, layout, raised, programme, config, rngs[5])
+    contents = build_contents(plan, layout, raised, programme, config, rngs[5])
+    return elements + _unless("contents", contents, config)
+
+
+def _unless(part: Part, elements: list[Element], config: SiteConfig) -> list[Element]:
+    """The elements, or none where the floor is drawn without them."""
+    return [] if part in config.without else elements
 
 
 def _extent(elements: list[Element]) -> Rectangle:

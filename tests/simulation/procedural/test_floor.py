@@ -226,6 +226,20 @@ def test_clutter_can_be_left_out():
     assert kept[0] == kept[1]
 
 
+@pytest.mark.parametrize("renovation", [False, True])
+def test_parts_can_be_left_out_and_the_others_stay_as_they_are(renovation):
+    config = SiteConfig(stages=4, renovation=renovation)
+    whole = build_floor("1", config, 0)
+    parts = ("ceiling_slab", "beam", "prop", "facade", "services", "ceilings", "contents")
+    bare = build_floor("1", config.model_copy(update={"without": parts}), 0)
+    kept = {element.kind for element in bare.elements}
+    assert kept >= {"floor_slab", "column", "core_wall", "stud", "board", "door"}
+    assert not kept & {"ceiling_slab", "beam", "prop", "duct", "pipe", "ceiling_tiles", "desk"}
+    meshes = {element.mesh.vertices.tobytes() for element in whole.elements}
+    assert all(element.mesh.vertices.tobytes() in meshes for element in bare.elements)
+    assert len(bare.elements) < len(whole.elements) / 2
+
+
 def test_without_deviation_columns_stand_in_line():
     exact, usual = (
         build_floor("1", SiteConfig(width=30, deviation=d), 0).elements for d in (0.0, 1.0)
