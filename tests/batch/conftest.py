@@ -70,12 +70,13 @@ class Angry(Guess):
         return super().register(source, target, seed)
 
 class Lethal(Guess):
-    """Kills the process that registers a source of spot 2, unless GUESS_TAMED is set."""
+    """Kills the process that registers a source of spot 2, stage 2, unless GUESS_TAMED is set."""
 
     name = "lethal"
 
     def register(self, source, target, seed):
-        if source[0].spot == 2 and not os.environ.get("GUESS_TAMED"):
+        tamed = os.environ.get("GUESS_TAMED")
+        if (source[0].stage, source[0].spot) == (2, 2) and not tamed:
             os.kill(os.getpid(), signal.SIGKILL)
         return super().register(source, target, seed)
 

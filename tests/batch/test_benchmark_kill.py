@@ -55,11 +55,11 @@ def until(condition):
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.usefixtures("plugins")
 def test_a_killed_benchmark_goes_on_and_ends_like_one_that_was_not(
-    dataset_path, tmp_path, monkeypatch, workers
+    dataset_path, tmp_path, monkeypatch
 ):
+    workers = 2
     whole = finished(start(dataset_path, tmp_path / "whole", "--workers", workers))
     monkeypatch.setenv("GUESS_DELAY", "0.4")
     killed = tmp_path / "killed"
