@@ -10,7 +10,8 @@
     run, rejected               texts: metadata, why edges were rejected
 
 This is the largest component; the map, the fragments and the graph of the others lie below
-component_2, component_3, …, each in a map frame and in views of its own, since nothing links them.
+component_1, component_2, …, numbered as their ROS topics are, each in a map frame and in views of
+its own, since nothing links them.
 Fragments that are in no component are not drawn. Lengths are metres. The timeline `answer`
 counts the answers to pairs; what is drawn of a graph that still changes lies on it, too.
 """
@@ -113,7 +114,7 @@ class Scene:
         self._spots = spots
         for root, part in parts:
             self._draw_part(root, part, answers)
-        for number in range(len(parts) + 1, self._components + 1):
+        for number in range(len(parts), self._components):
             self._log(f"{_root(number)}graph", self._rerun.Clear(recursive=True))
         if len(parts) > self._components:
             self._components = len(parts)
@@ -236,10 +237,10 @@ def _layout(components: int) -> Any:
         """A view of each component; `%` in what it contains is the root of the component."""
         shown = [
             views.Spatial3DView(
-                name=name if components == 1 else f"Component {number}",
+                name=name if components == 1 else f"Component {number}" if number else "Largest",
                 contents=[each.replace("%", f"/{_root(number)}") for each in contents],
             )
-            for number in range(1, components + 1)
+            for number in range(components)
         ]
         return shown[0] if components == 1 else views.Tabs(*shown, name=name, active_tab=0)
 
@@ -275,8 +276,8 @@ def _layout(components: int) -> Any:
 
 
 def _root(number: int) -> str:
-    """Below which the component of a number, from 1, is drawn."""
-    return "" if number == 1 else f"component_{number}/"
+    """Below which the component of a number is drawn."""
+    return "" if number == 0 else f"component_{number}/"
 
 
 def _spot_paths(root: str, stage: int) -> tuple[str, str]:
@@ -290,7 +291,7 @@ def _parts(graph: PoseGraph) -> list[tuple[str, PoseGraph]]:
     for node in graph.poses().values():
         members.setdefault(node.component, []).append(replace(node, component=0))
     parts = []
-    for number, component in enumerate(sorted(members), start=1):
+    for number, component in enumerate(sorted(members)):
         here = {node.id for node in members[component]}
         edges = tuple(e for e in graph.edges if {e.pair.source, e.pair.target} <= here)
         parts.append((_root(number), PoseGraph(tuple(members[component]), edges)))

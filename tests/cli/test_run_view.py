@@ -139,20 +139,20 @@ def test_components_that_nothing_links_have_a_view_each(room, tmp_path):
             scene.draw_map(split(at), fragments)
     content = read(file)
     main = column(content, "/graph/accepted", "strips")
-    other = column(content, "/component_2/graph/accepted", "strips")
+    other = column(content, "/component_1/graph/accepted", "strips")
     assert [len(strips) for strips in main] == [6, 3, 15]
     assert [len(strips) for strips in other] == [1, 3]
     assert [
-        len(labels) for labels in column(content, "/component_2/graph/stage_2", "Points3D:labels")
+        len(labels) for labels in column(content, "/component_1/graph/stage_2", "Points3D:labels")
     ] == [2, 3]
-    clouds = column(content, "/component_2/map/stage_2", "positions")
+    clouds = column(content, "/component_1/map/stage_2", "positions")
     assert [len(cloud) > 0 for cloud in clouds] == [True, True, False]
     moved = graph.nodes[3].id
     path = f"/fragments/stage_2/{moved}"
     assert any("Clear" in name for name in content[path])
-    assert any("Clear" in name for name in content[f"/component_2{path}"])
-    assert any("Clear" in name for name in content["/component_2/graph"])
-    assert "/component_2/fragments/stage_1" not in {each.rsplit("/", 1)[0] for each in content}
+    assert any("Clear" in name for name in content[f"/component_1{path}"])
+    assert any("Clear" in name for name in content["/component_1/graph"])
+    assert "/component_1/fragments/stage_1" not in {each.rsplit("/", 1)[0] for each in content}
 
 
 def test_every_component_has_a_view_of_its_map_its_answers_and_its_fragments():
@@ -163,11 +163,12 @@ def test_every_component_has_a_view_of_its_map_its_answers_and_its_fragments():
         for tab in tabs.contents:
             shown = [tab] if components == 1 else tab.contents
             assert len(shown) == components
-            for number, view in enumerate(shown, start=1):
-                assert components == 1 or view.name == f"Component {number}"
+            for number, view in enumerate(shown):
+                name = f"Component {number}" if number else "Largest"
+                assert components == 1 or view.name == name
                 roots = {path.split("/")[1] for path in view.contents}
-                assert all(root.startswith("component_") == (number > 1) for root in roots)
-                assert number == 1 or roots == {f"component_{number}"}
+                assert all(root.startswith("component_") == (number > 0) for root in roots)
+                assert number == 0 or roots == {f"component_{number}"}
 
 
 def test_bad_inputs_are_named(log, tmp_path, monkeypatch):
