@@ -41,11 +41,16 @@ def train(monkeypatch, *arguments):
     main()
 
 
+def of(datasets):
+    """The one for the network, the other for the verifier."""
+    return datasets[0], "--verifier", datasets[1]
+
+
 def test_training_gives_weights_that_are_reproducible_and_usable(monkeypatch, tmp_path, datasets):
     files = [tmp_path / "one.safetensors", tmp_path / "other.safetensors"]
     for file in files:
         options = ("--steps", 2, "--verifier-pairs", 4, "--workers", 1)
-        train(monkeypatch, *datasets, "-o", file, *options)
+        train(monkeypatch, *of(datasets), "-o", file, *options)
     assert files[0].read_bytes() == files[1].read_bytes()
     config = RegistrationConfig(method="gravity", gravity={"weights": str(files[0])})
     method, dataset = load_method(config), DatasetFolder(datasets[1])
@@ -56,16 +61,16 @@ def test_training_gives_weights_that_are_reproducible_and_usable(monkeypatch, tm
 def test_training_goes_on_from_other_weights(monkeypatch, tmp_path, datasets):
     first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
     options = ("--verifier-pairs", 4, "--workers", 1)
-    train(monkeypatch, *datasets, "-o", first, "--steps", 2, *options)
+    train(monkeypatch, *of(datasets), "-o", first, "--steps", 2, *options)
     further = ("--start", first, "--seed", 5, "--steps", 1)
-    train(monkeypatch, *datasets, "-o", second, *further, *options)
+    train(monkeypatch, *of(datasets), "-o", second, *further, *options)
     one, other = load_network(first).state_dict(), load_network(second).state_dict()
     # Another seed would begin with other weights.
     assert all(torch.allclose(one[name], other[name], atol=0.01) for name in one)
     assert any(not torch.equal(one[name], other[name]) for name in one)
     none = tmp_path / "none.safetensors"
     with pytest.raises(SystemExit, match="error: "):
-        train(monkeypatch, *datasets, "-o", second, "--start", none, *options)
+        train(monkeypatch, *of(datasets), "-o", second, "--start", none, *options)
 
 
 def test_datasets_without_fragments_that_overlap_not_are_told(datasets):
@@ -75,12 +80,14 @@ def test_datasets_without_fragments_that_overlap_not_are_told(datasets):
         ExampleSource(together, 0).draw_apart()
 
 
-def test_one_dataset_is_not_enough(monkeypatch, tmp_path, datasets, capsys):
+def test_the_verifier_needs_a_dataset_of_its_own(monkeypatch, tmp_path, datasets, capsys):
     with pytest.raises(SystemExit):
         train(monkeypatch, datasets[0], "-o", tmp_path / "weights.safetensors")
-    assert "two datasets" in capsys.readouterr().err
+    assert "--verifier" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_no_dataset_is_one_sentence(monkeypatch, tmp_path, datasets):
     with pytest.raises(SystemExit, match="error: "):
-        train(monkeypatch, tmp_path, datasets[0], "-o", tmp_path / "weights.safetensors")
+        train(
+            monkeypatch, tmp_path, "--verifier", datasets[0], "-o", tmp_path / "weights.safetensors"
+        )

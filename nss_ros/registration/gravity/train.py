@@ -1,10 +1,10 @@
 """Trains the weights of the gravity method from simulated datasets.
 
-    ./nss python -m nss_ros.registration.gravity.train DATASET... -o gravity.safetensors
+    ./nss python -m nss_ros.registration.gravity.train DATASET... --verifier DATASET... -o FILE
 
 With `--start` the network of other weights is trained further, for instance on sites of one's own.
-The network learns from all datasets but the last, whose pairs train the verifier: its hypotheses
-must be as good and as bad as those of sites that the network has not seen.
+The verifier learns from pairs of datasets of its own: their hypotheses must be as good and as bad
+as those of sites that the network has not seen.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ _CACHE = 400
 def main() -> None:
     """Train and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("datasets", type=Path, nargs="+", help="two or more, of different seeds")
+    parser.add_argument("datasets", type=Path, nargs="+", help="that the network learns from")
+    parser.add_argument(
+        "--verifier", type=Path, nargs="+", required=True, help="datasets of other seeds"
+    )
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--start", type=Path, help="weights whose network is trained further")
     parser.add_argument("--steps", type=int, default=2000)
@@ -52,8 +55,6 @@ def main() -> None:
         "--threads", type=int, default=1, help="more are faster and give other last digits"
     )
     arguments = parser.parse_args()
-    if len(arguments.datasets) < 2:
-        parser.error("at least two datasets are needed: the last one trains the verifier")
     try:
         fit(arguments)
     except NssError as error:
@@ -63,12 +64,11 @@ def main() -> None:
 def fit(arguments: argparse.Namespace) -> None:
     """Train as asked for."""
     config = RegistrationConfig(method="gravity", seed=arguments.seed)
-    *folders, last = arguments.datasets
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
     network = load_network(arguments.start) if arguments.start else GravityNetwork()
     verifier = Verifier()
-    items = read_items(folders, config, arguments.workers)
+    items = read_items(arguments.datasets, config, arguments.workers)
     with progress_bar() as bar:
         task = bar.add_task("network", total=arguments.steps)
         settings = TrainingConfig(
@@ -78,7 +78,7 @@ def fit(arguments: argparse.Namespace) -> None:
             bar.update(task, completed=step + 1, description=f"loss {loss:.2f}, hits {hits:.2f}")
     cases = collect(
         Gravity(config, (network, verifier)),
-        read_items([last], config, arguments.workers),
+        read_items(arguments.verifier, config, arguments.workers),
         arguments.verifier_pairs,
         arguments.seed,
     )
