@@ -31,6 +31,7 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
   return kind.includes("webgl") ? null : context.call(this, kind, ...rest);
 };
 """
+_PATIENCE = 120_000  # milliseconds; the first page of a browser on a busy machine takes long
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 360, "height": 740}
 
 
@@ -63,6 +64,7 @@ def page_file(make_run, tmp_path_factory):
 def opened(browser, path, init="", **options):
     """A page, what it complains of, and what it asks the network for."""
     page = browser.new_context(**options).new_page()
+    page.set_default_timeout(_PATIENCE)
     page.add_init_script(init)
     complaints, requests = [], []
     page.on("console", lambda m: complaints.append(m.text) if m.type == "error" else None)
@@ -126,7 +128,7 @@ def test_the_report_on_a_desktop(browser, page_file, tmp_path):
     assert not hidden.is_visible()
     page.locator(".worst a").first.click()
     row = page.locator("tr:target")
-    assert row.is_visible()
+    row.wait_for()  # the page answers to its new address a little later
     assert "wrong" in row.text_content()
     assert row.locator("td").first.text_content() in page.locator(".worst a").first.text_content()
     page.locator(".filters input").fill("no such pair")
