@@ -13,7 +13,11 @@ class ViewpointConfig(Section):
     """Where the tripod is put."""
 
     spots_per_stage: int = Field(
-        0, ge=0, le=10_000, description="Most spots per stage; 0: until coverage stops growing"
+        0,
+        ge=0,
+        le=10_000,
+        description="Most spots per stage, all stages then beginning near the same place; 0: until "
+        "coverage stops growing",
     )
     least_gain: Positive = Field(
         1.0, description="Floor that a further spot must be the first to see, square metres"

@@ -81,9 +81,14 @@ def test_datasets_without_fragments_that_overlap_not_are_told(datasets):
 
 
 def test_the_verifier_needs_a_dataset_of_its_own(monkeypatch, tmp_path, datasets, capsys):
+    output = ("-o", tmp_path / "weights.safetensors")
     with pytest.raises(SystemExit):
-        train(monkeypatch, datasets[0], "-o", tmp_path / "weights.safetensors")
+        train(monkeypatch, datasets[0], *output)
     assert "--verifier" in capsys.readouterr().err
+    same = datasets[0] / ".." / datasets[0].name
+    with pytest.raises(SystemExit):
+        train(monkeypatch, *datasets, "--verifier", same, *output)
+    assert f"must not learn from what the network did: {datasets[0]}" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_no_dataset_is_one_sentence(monkeypatch, tmp_path, datasets):

@@ -76,16 +76,31 @@ def test_they_have_wide_maps_and_no_other_features(site, features):
         assert features[id_].generic is None
 
 
-@pytest.mark.parametrize(("source", "target"), [(ONE, OTHER), (OTHER, ONE), (ONE, LATER)])
-def test_they_are_registered_and_known_to_be_right(method, site, features, source, target):
+@pytest.mark.parametrize(
+    ("source", "target", "least"), [(ONE, OTHER, 0.4), (OTHER, ONE, 0.4), (ONE, LATER, 0.3)]
+)
+def test_they_are_registered_and_known_to_be_right(method, site, features, source, target, least):
     _, poses = site
     answer = method.register(features[source], features[target], 0)
     error = relative(answer.T_target_source, relative(poses[source], poses[target]))
     assert np.linalg.norm(error[:3, 3]) < 0.1
     assert np.degrees(rotation_angle(error)) < 1
-    assert answer.confidence > 0.3
+    assert answer.confidence > least
     total = answer.confidence + sum(each.probability for each in answer.alternatives)
     assert total <= 1 + 1e-6
+
+
+def test_of_two_buildings_the_confidence_is_low(method, features):
+    confidences = []
+    for use, width in (("hospital", 24), ("laboratory", 30)):
+        floor = build_floor("2", SiteConfig(use=use, width=width, depth=14, stages=3), 4)
+        for stage in (1, 3):
+            scene, rng = Scene(floor.stage_mesh(stage).mesh), np.random.default_rng(2)
+            points, _ = laser_scan(scene, PLACES[ONE], rng)
+            elsewhere = method.prepare(Fragment(FragmentId("2", stage, 1), points, True))
+            confidences.append(method.register(features[ONE], elsewhere, 0).confidence)
+    # Two bare shells of one size may look alike: not each is below those that are right.
+    assert np.mean(confidences) < 0.25
 
 
 @pytest.mark.parametrize("turned", [False, True])

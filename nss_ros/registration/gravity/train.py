@@ -55,6 +55,11 @@ def main() -> None:
         "--threads", type=int, default=1, help="more are faster and give other last digits"
     )
     arguments = parser.parse_args()
+    both = {each.resolve() for each in arguments.datasets} & {
+        each.resolve() for each in arguments.verifier
+    }
+    if both:
+        parser.error(f"the verifier must not learn from what the network did: {min(both)}")
     try:
         fit(arguments)
     except NssError as error:
