@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.metrics import brier_score_loss, roc_auc_score
 
 from nss_ros.benchmark.metrics import Floats
 
@@ -67,6 +66,8 @@ def calibrate(success: NDArray[np.bool_], confidence: Floats) -> Calibration | N
         success: (n,) whether each is right.
         confidence: (n,); values outside 0..1 count as 0 or 1, NaN is left out.
     """
+    from sklearn.metrics import brier_score_loss, roc_auc_score  # costs seconds
+
     known = np.isfinite(confidence)
     if not known.any():
         return None

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.metrics import average_precision_score, precision_recall_curve, roc_auc_score
 
 from nss_ros.benchmark.metrics import Floats, f1_score
 
@@ -62,6 +61,8 @@ def classify(overlaps: NDArray[np.bool_], probability: Floats) -> Classification
         overlaps: (n,) the truth.
         probability: (n,); NaN, meaning that the method gave none, is left out.
     """
+    from sklearn.metrics import average_precision_score, roc_auc_score  # costs seconds
+
     known = np.isfinite(probability)
     if not known.any():
         return None
@@ -157,6 +158,8 @@ def _ratio(numerator: Floats, denominator: Floats) -> Floats:
 def _curve(
     overlaps: NDArray[np.bool_], probability: Floats
 ) -> tuple[tuple[float, float, float], ...]:
+    from sklearn.metrics import precision_recall_curve  # costs seconds
+
     precision, recall, thresholds = precision_recall_curve(overlaps, probability)
     chosen = np.unique(
         np.linspace(0, len(thresholds) - 1, min(len(thresholds), _CURVE_POINTS)).astype(np.intp)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import open3d as o3d
 from numpy.typing import NDArray
 
 from nss_ros.dataset.challenge_folder import read_fragment
@@ -59,6 +58,8 @@ def files_look_levelled(files: Sequence[tuple[FragmentId, Path]]) -> bool:
 
 
 def _normals(points: Points) -> NDArray[np.float64]:
+    import open3d as o3d  # costs seconds
+
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
     return np.asarray(cloud.normals)
