@@ -67,7 +67,7 @@ def propose(
     console = Console()
     if made.unfit:
         console.print(
-            f"{len(made.unfit)} fragments are not levelled, have too few points or reach too far, "
+            f"{len(made.unfit)} fragments are not levelled or have too few points, "
             f"{made.unfit[0]} for example: no pairs are proposed for them.",
             style="yellow",
             soft_wrap=True,

@@ -12,8 +12,8 @@ from nss_ros.fragment import Fragment, FragmentId, Points
 from nss_ros.registration.gravity.agreement import WallView
 from nss_ros.registration.gravity.method import feature_maps
 from nss_ros.registration.gravity.network import STRIDE, GravityNetwork
-from nss_ros.registration.gravity.raster import FREE, OCCUPIED, Raster, rasterize
-from nss_ros.registration.gravity.scan import LevelScan, reaches_far, scan_of
+from nss_ros.registration.gravity.raster import CELL, FREE, OCCUPIED, Raster, rasterize
+from nss_ros.registration.gravity.scan import LevelScan, fitting_scan_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +55,18 @@ class SubmapFragment:
             network,
         )
 
+    @property
+    def reach(self) -> float:
+        """How far its maps reach to each side of the sensor, metres."""
+        return CELL * STRIDE * int(self.seen.shape[-1]) / 2
+
     def at_floor(self, height: float) -> SubmapFragment:
         """The fragment with its features by slices above another height.
 
         Floors are not the same everywhere: what stands on a raised one is seen from a lower one.
         """
-        maps = rasterize(self.points, self.normals, height)
+        cells = self.seen.shape[-1] * STRIDE
+        maps = rasterize(self.points, self.normals, height, cells)
         features = feature_maps(self.network, maps).astype(np.float16)
         return replace(self, floor=height, maps=features, seen=_seen(maps))
 
@@ -68,10 +74,10 @@ class SubmapFragment:
 def submap_fragment(
     fragment: Fragment, network: GravityNetwork, config: RegistrationConfig
 ) -> SubmapFragment | None:
-    """A fragment as a part of submaps; None if it is not levelled, too small or reaches too far."""
-    if not fragment.gravity_aligned or reaches_far(fragment):
+    """A fragment as a part of submaps; None if it is not levelled, or too small."""
+    if not fragment.gravity_aligned:
         return None
-    scan = scan_of(fragment, config)
+    scan = fitting_scan_of(fragment, config)
     return SubmapFragment.of(scan, network) if len(scan.points) >= config.min_points else None
 
 

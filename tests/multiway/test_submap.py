@@ -252,12 +252,10 @@ def test_clouds_of_nothing_are_not_prepared(synchronizer, points):
     assert synchronizer.prepare(Fragment(STRANGE, points.astype(np.float32), True)) is None
 
 
-def test_fragments_that_are_tilted_or_reach_far_are_not_prepared(building, first):
+def test_fragments_that_are_tilted_are_not_prepared(building, first):
     fragment = building.fragments[first[0]]
     tilted = Fragment(fragment.id, fragment.points, False)
-    far = Fragment(fragment.id, fragment.points * np.float32(3), True)
-    prepared = prepared_by(MultiwayConfig(), [tilted, far])
-    assert prepared == {}
+    assert prepared_by(MultiwayConfig(), [tilted]) == {}
 
 
 def test_points_that_are_not_numbers_are_left_out(building, first, synchronizer):

@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nss_ros.config import RegistrationConfig
-from nss_ros.fragment import Fragment, FragmentId
+from nss_ros.fragment import Fragment
 from nss_ros.geometry import from_yaw, transform_points
+from nss_ros.registration.gravity.coarse import shift_of_middles
+from nss_ros.registration.gravity.correlation import STEP
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.raster import (
     CELL,
@@ -124,14 +126,19 @@ def test_augmentation_moves_truth_and_maps_alike(scans, network, seed):
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.floats(0, 2 * math.pi), st.floats(-9, 9), st.floats(-9, 9))
-def test_the_target_of_training_is_a_distribution(yaw, x, y):
+@given(
+    st.floats(0, 2 * math.pi),
+    st.floats(-9, 9),
+    st.floats(-9, 9),
+    st.sampled_from([(48, 48), (48, 120), (120, 48), (120, 120)]),
+)
+def test_the_target_of_training_is_a_distribution_about_the_truth(yaw, x, y, cells):
     middle = round(yaw / (2 * math.pi / 120))
-    wanted = target_distribution(Planar(yaw, x, y), [(middle + k) % 120 for k in (-1, 0, 1)])
-    assert float(wanted.sum()) == pytest.approx(1, abs=1e-4)
-    assert float(wanted.max()) > 0.05
-
-
-def test_ids_do_not_matter_to_maps(scans):
-    other = Fragment(FragmentId("9", 4, 7), scans[0].points, True)
-    assert np.array_equal(scan(other).maps, scan(scans[0]).maps)
+    near = [(middle + k) % 120 for k in (-1, 0, 1)]
+    wanted = target_distribution(Planar(yaw, x, y), near, *cells).numpy()
+    assert wanted.sum() == pytest.approx(1, abs=1e-4)
+    assert wanted.max() > 0.05
+    best = np.unravel_index(wanted.argmax(), wanted.shape)
+    assert best[0] == 1
+    shift = shift_of_middles(np.array(best[1:]), *cells, wanted.shape[-1]) * STEP
+    assert shift == pytest.approx([y, x], abs=STEP / 2 + 1e-6)

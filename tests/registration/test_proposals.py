@@ -18,6 +18,7 @@ from nss_ros.registration.gravity.proposals import (
     proposed_pairs,
     sketch,
 )
+from nss_ros.registration.gravity.scan import WIDE_SIZE
 
 CONFIG = RegistrationConfig()
 BAG = Path(__file__).parents[2] / "bags" / "three_stages"
@@ -63,12 +64,23 @@ def test_the_evidence_of_pairs_is_that_of_each(sketches):
         lambda f: Fragment(f.id, f.points, False),
         lambda f: Fragment(f.id, f.points[:20], True),
         lambda f: Fragment(f.id, f.points[:0], True),
-        lambda f: Fragment(f.id, f.points * np.float32(4), True),
     ],
-    ids=["not levelled", "few points", "no points", "far reach"],
+    ids=["not levelled", "few points", "no points"],
 )
 def test_what_cannot_be_looked_at_has_no_sketch(fragments, change):
     assert sketch(change(fragments[0]), CONFIG) is None
+
+
+def test_scans_that_reach_far_are_looked_at_on_wide_maps(fragments):
+    rng = np.random.default_rng(0)
+    far = Fragment(
+        FragmentId("1", 1, 60), (fragments[0].points * np.float32((3, 3, 1))).repeat(2, 0), True
+    )
+    far.points[1::2] += rng.normal(0, 0.05, far.points[1::2].shape).astype(np.float32)
+    own, again = sketch(far, CONFIG), sketch(turned(far, 61), CONFIG)
+    assert own.maps.shape[-1] == WIDE_SIZE // 4
+    others = [overlap_evidence(sketch(each, CONFIG), again) for each in fragments[1:]]
+    assert overlap_evidence(own, again) > max(others)
 
 
 IDS = [FragmentId("1", stage, spot) for stage in (1, 2) for spot in range(6)]

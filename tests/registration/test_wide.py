@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from nss_ros.config import RegistrationConfig, SiteConfig
+from nss_ros.config import MultiwayConfig, RegistrationConfig, SiteConfig
 from nss_ros.fragment import Fragment, FragmentId, voxelize
 from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
+from nss_ros.multiway.solver import prepared_by
+from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
 from nss_ros.registration.gravity.network import CHANNELS, as_target
 from nss_ros.registration.gravity.raster import SIZE
 from nss_ros.registration.gravity.scan import WIDE_SIZE, is_wide_scan, scan_of, wide_scan_of
@@ -104,7 +106,7 @@ def test_of_two_buildings_the_confidence_is_low(method, features):
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_one_that_is_wide_scan_is_registered_with_one_that_does_not(method, site, features, turned):
+def test_one_with_wide_maps_is_registered_with_a_usual_one(method, site, features, turned):
     fragments, poses = site
     points = fragments[LATER].points
     near = Fragment(LATER, points[np.linalg.norm(points, axis=1) < 4.5], True)
@@ -120,6 +122,24 @@ def test_one_that_is_wide_scan_is_registered_with_one_that_does_not(method, site
     errors = [relative(each, truth) for each in hypotheses]
     assert answer.reason is Reason.NONE
     assert min(np.linalg.norm(each[:3, 3]) for each in errors) < 0.2
+
+
+@pytest.mark.parametrize("reach", [30.0, 4.5])
+def test_on_a_canvas_they_find_the_place_of_one_that_sees_more_or_less(site, reach):
+    fragments, poses = site
+    points = fragments[LATER].points
+    later = Fragment(LATER, points[np.linalg.norm(points, axis=1) < reach], True)
+    prepared = prepared_by(MultiwayConfig(), (fragments[ONE], fragments[OTHER], later))
+    assert [prepared[each].seen.shape[-1] for each in (ONE, OTHER)] == [WIDE_SIZE // 2] * 2
+    raised = prepared[ONE].at_floor(prepared[ONE].floor + 0.1)
+    assert raised.maps.shape == prepared[ONE].maps.shape
+    target = Canvas.of({each: poses[each] for each in (ONE, OTHER)}, prepared)
+    source = Canvas.of({LATER: np.eye(4)}, prepared)
+    found = canvas_search(source, target, 5)
+    errors = [np.linalg.norm((each - poses[LATER])[:2, 3]) for each in found]
+    assert min(errors) < 0.5
+    best = found[int(np.argmin(errors))]
+    assert canvas_score(source, target, best) > canvas_score(source, target, np.eye(4)) + 10
 
 
 def test_the_same_bytes_come_again_and_after_pickling(method, features):

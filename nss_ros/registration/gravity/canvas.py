@@ -27,13 +27,9 @@ from nss_ros.registration.gravity.coarse import (
     shift_of_middles,
 )
 from nss_ros.registration.gravity.correlation import STEP, rotated
-from nss_ros.registration.gravity.network import CHANNELS, STRIDE, VECTORS, as_target
-from nss_ros.registration.gravity.raster import SIZE
+from nss_ros.registration.gravity.network import CHANNELS, VECTORS, as_target
 from nss_ros.registration.gravity.search import best_places
 
-# Cells of a fragment's features along each side, and one more on each, for it is not on the grid.
-_WINDOW = SIZE // STRIDE + 2
-_REACH = _WINDOW * STEP / 2
 # The weight of what the network says of cells that a fragment did not see.
 _UNSEEN = 0.05
 # At the rims of the fragments nothing is made larger than it was.
@@ -119,13 +115,11 @@ class Canvas:
         """The canvas of fragments with poses in one frame, all prepared."""
         places = np.array([pose[:2, 3] for pose in poses.values()])
         low, high = places.min(axis=0), places.max(axis=0)
-        return cls._with((low + high) / 2, {}, poses, fragments, float((high - low).max()) / 2)
+        return cls._with((low + high) / 2, {}, poses, fragments)
 
     def extended(self, poses: Poses, fragments: Mapping[FragmentId, Mapped]) -> Canvas:
         """This canvas with further fragments in the same frame."""
-        places = np.array([pose[:2, 3] for pose in poses.values()])
-        reach = float(np.abs(places - self.centre).max())
-        return self._with(self.centre, self.layers, poses, fragments, reach)
+        return self._with(self.centre, self.layers, poses, fragments)
 
     @classmethod
     def _with(
@@ -134,10 +128,13 @@ class Canvas:
         layers: Mapping[int, Layer],
         poses: Poses,
         fragments: Mapping[FragmentId, Mapped],
-        reach: float,
     ) -> Canvas:
+        reach = max(
+            float(np.abs(pose[:2, 3] - centre).max()) + _window(fragments[id_]) * STEP / 2
+            for id_, pose in poses.items()
+        )
         with torch.inference_mode():
-            size = 2 * math.ceil((reach + _REACH) / STEP)
+            size = 2 * math.ceil(reach / STEP)
             old = max((each.seen.shape[-1] for each in layers.values()), default=0)
             size = max(size, old)
             new = {stage: each.padded((size - old) // 2) for stage, each in layers.items()}
@@ -149,20 +146,25 @@ class Canvas:
             return cls(centre, new, across / seen.clamp(min=_LEAST_SEEN))
 
 
+def _window(fragment: Mapped) -> int:
+    """Cells of its features along each side, and one more on each, for it is not on the grid."""
+    return int(fragment.seen.shape[-1]) + 2
+
+
 def _add(layer: Layer, fragment: Mapped, pose: Transform, centre: NDArray[np.float64]) -> None:
     """Add the features of a fragment to a layer, in place."""
-    size = layer.seen.shape[-1]
+    size, window = layer.seen.shape[-1], _window(fragment)
     cell = (pose[:2, 3] - centre) / STEP + size / 2
-    start = np.round(cell - _WINDOW / 2).astype(int).clip(0, size - _WINDOW)
-    shift = torch.from_numpy((cell - start - _WINDOW / 2) * STEP).float()[None]
+    start = np.round(cell - window / 2).astype(int).clip(0, size - window)
+    shift = torch.from_numpy((cell - start - window / 2) * STEP).float()[None]
     yaw = torch.tensor([math.atan2(pose[1, 0], pose[0, 0])], dtype=torch.float32)
     weight = torch.from_numpy(fragment.seen.astype(np.float32)).clamp(min=_UNSEEN)
-    columns, rows = (slice(int(first), int(first) + _WINDOW) for first in start)
+    columns, rows = (slice(int(first), int(first) + window) for first in start)
     for sums, features in zip((layer.across, layer.within), fragment.maps, strict=True):
         weighted = torch.from_numpy(features.astype(np.float32)) * weight
-        sums[:, rows, columns] += rotated(weighted, yaw, shift, _WINDOW)[0]
+        sums[:, rows, columns] += rotated(weighted, yaw, shift, window)[0]
     everywhere = weight.expand(CHANNELS, *weight.shape)
-    layer.seen[rows, columns] += rotated(everywhere, yaw, shift, _WINDOW)[0, 0]
+    layer.seen[rows, columns] += rotated(everywhere, yaw, shift, window)[0, 0]
 
 
 def canvas_score(source: Canvas, target: Canvas, T_target_source: Transform) -> float:

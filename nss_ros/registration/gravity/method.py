@@ -33,7 +33,7 @@ from nss_ros.registration.gravity.correlation import score_parts
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.raster import Raster
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
-from nss_ros.registration.gravity.scan import LevelScan, is_wide_scan, scan_of, wide_scan_of
+from nss_ros.registration.gravity.scan import LevelScan, fitting_scan_of
 from nss_ros.registration.gravity.search import Search, search
 from nss_ros.registration.gravity.verifier import judge
 from nss_ros.registration.gravity.weights import Networks, load_weights
@@ -97,8 +97,7 @@ class Gravity:
         if not fragment.gravity_aligned:
             generic = self._generic.prepare(fragment)
             return GravityFeatures(fragment.id, len(generic.points), None, None, generic)
-        prepared = wide_scan_of if is_wide_scan(fragment) else scan_of
-        return self.prepare_scan(prepared(fragment, self.config))
+        return self.prepare_scan(fitting_scan_of(fragment, self.config))
 
     def prepare_scan(self, scan: LevelScan) -> GravityFeatures:
         """Features of a levelled fragment."""

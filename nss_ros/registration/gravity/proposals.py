@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.registration.gravity.coarse import coarse_scores, pooled
+from nss_ros.registration.gravity.coarse import POOL, coarse_scores, pooled
 from nss_ros.registration.gravity.method import feature_maps
-from nss_ros.registration.gravity.scan import reaches_far, scan_of
+from nss_ros.registration.gravity.scan import fitting_scan_of
 from nss_ros.registration.gravity.weights import load_weights
+from nss_ros.registration.gravity.wide import evened
 
 #: Pairs that a worker looks at in one call, a few seconds.
 PAIRS_PER_CALL = 64
@@ -40,10 +41,10 @@ class Sketch:
 
 
 def sketch(fragment: Fragment, config: RegistrationConfig) -> Sketch | None:
-    """A fragment's sketch; None if it is not levelled, has too few points or reaches too far."""
-    if not fragment.gravity_aligned or reaches_far(fragment):
+    """A fragment's sketch; None if it is not levelled or has too few points."""
+    if not fragment.gravity_aligned:
         return None
-    scan = scan_of(fragment, config)
+    scan = fitting_scan_of(fragment, config)
     if len(scan.points) < config.min_points:
         return None
     network, _ = load_weights(config.gravity.weights)
@@ -61,7 +62,7 @@ def overlap_evidence(source: Sketch, target: Sketch) -> float:
         moving, still = (
             torch.from_numpy(each.maps[kind].astype(np.float32)) for each in (source, target)
         )
-        scores = coarse_scores(moving, still).flatten()
+        scores = coarse_scores(evened(moving, still, POOL), still).flatten()
         return float(scores.logsumexp(dim=0)) - math.log(len(scores))
 
 

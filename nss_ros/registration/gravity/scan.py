@@ -13,10 +13,8 @@ from nss_ros.registration.gravity.raster import Floor, Raster, find_floor, raste
 
 _VOXEL_SIZE = 0.075
 _FARTHEST = 12.0
-# Maps of the usual size end at 4.8 m. A scanner that sees farther than this gets wide ones; what
-# is made for the usual size alone takes it up to a greater reach.
+# Maps of the usual size end at 4.8 m. A scanner that sees farther than this gets wide ones.
 _WIDE_REACH = 5.0
-_MOST_REACH = 7.0
 #: Cells along each side of wide maps, which end at 12 m.
 WIDE_SIZE = 240
 # What is seen beyond wide maps still tells what is empty, and turns an alignment right.
@@ -67,14 +65,14 @@ def wide_scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
     return LevelScan(fragment.id, points, normals, floor, maps)
 
 
+def fitting_scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
+    """The same with wide maps where a fragment fills them, else with those of the usual size."""
+    return (wide_scan_of if is_wide_scan(fragment) else scan_of)(fragment, config)
+
+
 def is_wide_scan(fragment: Fragment) -> bool:
     """Whether wide maps tell more of a fragment than those of the usual size."""
     return _reach(fragment) > _WIDE_REACH
-
-
-def reaches_far(fragment: Fragment) -> bool:
-    """Whether most of what the scanner saw is beyond maps of the usual size."""
-    return _reach(fragment) > _MOST_REACH
 
 
 def _reach(fragment: Fragment) -> float:

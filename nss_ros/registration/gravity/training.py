@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from nss_ros.geometry import Transform
+from nss_ros.registration.gravity.coarse import fast_size
 from nss_ros.registration.gravity.correlation import (
-    SHIFTS,
     STEP,
     YAWS,
     correlate,
@@ -33,6 +33,7 @@ from nss_ros.registration.gravity.training_data import (
     Item,
     relative_truth,
 )
+from nss_ros.registration.gravity.wide import evened, is_wide
 
 _TURN = 2 * math.pi
 #: Standard deviation of the target over the grid: what refinement can mend.
@@ -161,13 +162,14 @@ def _moved_truth(truth: Planar, mirror: bool, source: int, target: int) -> Plana
 def _loss(
     network: GravityNetwork, batch: list[Trial], other_yaws: int, rng: np.random.Generator
 ) -> tuple[Tensor, float]:
-    maps = torch.stack([each for trial in batch for each in (trial.source, trial.target)])
-    shared = network(maps)
     losses, hits = [], []
-    for number, trial in enumerate(batch):
-        both = slice(2 * number, 2 * number + 2)
-        features = network.features(maps[both], shared[both], trial.same_stage)
-        loss, hit = _pair_loss(network, features, trial, other_yaws, rng)
+    for trial in batch:
+        # One by one: wide maps and those of the usual size do not fit into one tensor.
+        source, target = (
+            network.features(each[None], network(each[None]), trial.same_stage)[0]
+            for each in (trial.source, trial.target)
+        )
+        loss, hit = _pair_loss(network, source, target, trial, other_yaws, rng)
         losses.append(loss)
         if trial.truth is not None:
             hits.append(hit)
@@ -176,25 +178,31 @@ def _loss(
 
 def _pair_loss(
     network: GravityNetwork,
-    features: Tensor,
+    source: Tensor,
+    target: Tensor,
     trial: Trial,
     other_yaws: int,
     rng: np.random.Generator,
 ) -> tuple[Tensor, bool]:
+    if is_wide(source, target):
+        source = evened(source, target)
+        other_yaws //= 2  # each takes ten times as long
     near = [] if trial.truth is None else _yaws_beside(trial.truth.yaw)
     rest = np.setdiff1d(np.arange(YAWS), near)
     others = rng.choice(rest, other_yaws, replace=False)
     yaws = torch.tensor([*near, *others.tolist()])
-    turned = spectrum(rotated(features[0], yaws * (_TURN / YAWS)))
-    scores = correlate(turned, spectrum(as_target(features[1])))
+    cells = source.shape[-1], target.shape[-1]
+    size = fast_size(sum(cells))
+    turned = spectrum(rotated(source, yaws * (_TURN / YAWS)), size)
+    scores = correlate(turned, spectrum(as_target(target), size), size)
     totals = scores.flatten(1).logsumexp(dim=1)
     weights = torch.zeros(len(yaws))
     weights[len(near) :] = math.log(len(rest) / other_yaws)
-    absence = network.absence[int(trial.same_stage)] + math.log(YAWS * SHIFTS**2)
+    absence = network.absence[int(trial.same_stage)] + math.log(YAWS * size**2)
     total = torch.cat((totals + weights, absence[None])).logsumexp(dim=0)
     if trial.truth is None:
         return total - absence, False
-    wanted = target_distribution(trial.truth, near)
+    wanted = target_distribution(trial.truth, near, *cells)
     positive = (scores[: len(near)] * wanted).sum()
     best = int(scores.detach().flatten().argmax())
     hit = bool(wanted.flatten()[best] > 1e-3) if best < wanted.numel() else False
@@ -206,17 +214,28 @@ def _yaws_beside(yaw: float) -> list[int]:
     return [(middle + each) % YAWS for each in (-1, 0, 1)]
 
 
-def target_distribution(truth: Planar, yaws: list[int]) -> Tensor:
-    """What the poses of the grid should score, (yaws, SHIFTS, SHIFTS), sum 1."""
+def target_distribution(truth: Planar, yaws: list[int], source: int, target: int) -> Tensor:
+    """What the poses of the grid should score, (yaws, shifts, shifts), sum 1.
+
+    Args:
+        truth: of the pair.
+        yaws: numbers of yaw angles.
+        source: cells of its features along each side.
+        target: cells of its.
+    """
     angles = np.array(yaws) * (_TURN / YAWS) - truth.yaw
     angles = (angles + math.pi) % _TURN - math.pi
     along_yaw = np.exp(-0.5 * (angles / (_BLUR_YAW * _TURN / YAWS)) ** 2)
-    along_x, along_y = (_bump(each) for each in (truth.x, truth.y))
+    along_x, along_y = (_bump(each, source, target) for each in (truth.x, truth.y))
     weights = along_yaw[:, None, None] * along_y[:, None] * along_x
     return torch.from_numpy((weights / weights.sum()).astype(np.float32))
 
 
-def _bump(shift: float) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    cells = np.arange(SHIFTS) - shift / STEP
-    cells = (cells + SHIFTS / 2) % SHIFTS - SHIFTS / 2
+def _bump(
+    shift: float, source: int, target: int
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    size = fast_size(source + target)
+    # The shift counts from middle to middle, cells from corner to corner.
+    cells = np.arange(size) - shift / STEP - (target - source) / 2
+    cells = (cells + size / 2) % size - size / 2
     return np.asarray(np.exp(-0.5 * (cells / _BLUR_SHIFT) ** 2))

@@ -20,10 +20,12 @@ from nss_ros.errors import InputError
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, relative, transform_points
 from nss_ros.parallel import run
-from nss_ros.registration.gravity.scan import LevelScan, scan_of
+from nss_ros.registration.gravity.raster import CELL
+from nss_ros.registration.gravity.scan import LevelScan, fitting_scan_of
 
 _OVERLAP_POINTS = 1000
-_MOST_DISTANCE = 7.0
+# Between the sensors of a pair, as a share of how far their maps reach: 7 m for usual ones.
+_MOST_DISTANCE = 7.0 / 4.8
 _MOST_ATTEMPTS = 1000
 
 
@@ -73,7 +75,7 @@ def read_items(folders: Iterable[Path], config: RegistrationConfig, workers: int
 
 def _prepare(call: tuple[Path, FragmentId, RegistrationConfig]) -> LevelScan:
     folder, fragment, config = call
-    return scan_of(DatasetFolder(folder).fragment(fragment), config)
+    return fitting_scan_of(DatasetFolder(folder).fragment(fragment), config)
 
 
 def relative_truth(items: list[Item], source: int, target: int) -> Transform:
@@ -143,13 +145,14 @@ class ExampleSource:
     def _neighbours(self, source: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Indices of items near one, of different stages and of its stage."""
         mine = self.items[source]
+        farthest = _MOST_DISTANCE * CELL * mine.scan.maps.shape[-1] / 2
         near = [
             number
             for number, item in enumerate(self.items)
             if number != source
             and item.dataset == mine.dataset
             and item.scan.id.area == mine.scan.id.area
-            and np.hypot(*(item.T_map_fragment - mine.T_map_fragment)[:2, 3]) < _MOST_DISTANCE
+            and np.hypot(*(item.T_map_fragment - mine.T_map_fragment)[:2, 3]) < farthest
         ]
         same = [self.items[each].scan.id.stage == mine.scan.id.stage for each in near]
         found = np.array(near, dtype=np.intp)

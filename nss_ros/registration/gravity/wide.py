@@ -46,12 +46,18 @@ def is_wide(source: Tensor, target: Tensor) -> bool:
     return max(source.shape[-1], target.shape[-1]) > _USUAL
 
 
-def evened(source: Tensor, target: Tensor) -> Tensor:
+def evened(source: Tensor, target: Tensor, pool: int = 1) -> Tensor:
     """The source's features, scaled so that a pose scores about what it does on usual maps.
 
     A score is a sum over cells, and the verifier knows those of usual maps.
+
+    Args:
+        source: (c, n, n) float32.
+        target: (c, m, m) float32.
+        pool: how many cells along each side were made one.
     """
-    return source * (_USUAL / min(source.shape[-1], target.shape[-1])) ** 2
+    usual = _USUAL / pool
+    return source * (usual / min(source.shape[-1], target.shape[-1])) ** 2
 
 
 def empty_weight(same_stage: bool) -> float:
