@@ -15,11 +15,9 @@ from nss_ros.multiway.measurement import information
 from nss_ros.multiway.pose_graph import Measurement
 from nss_ros.multiway.spanning_tree import Poses, components
 from nss_ros.multiway.submap import Fragments
+from nss_ros.multiway.submap_fragment import farthest
 from nss_ros.registration.gravity.refinement import COARSE_POINTS, refined_near
 
-# Fragments farther apart than this share of how far their maps reach, 7 m for a Matterport's,
-# hardly see anything together.
-_FARTHEST = 7.0 / 4.8
 _LEAST_OVERLAP = 0.2
 _OVERLAP_POINTS = 300
 # A fragment with this many edges needs no more.
@@ -52,7 +50,7 @@ def closures(
             degrees[end] += 1
     found: list[Measurement] = []
     left: list[tuple[float, FragmentPair]] = []
-    for share, pair in _overlapping(part, known, surfaces):
+    for share, pair in _overlapping(part, known, fragments, surfaces):
         wanted = min(degrees[end] for end in _ends(pair)) < _ENOUGH
         if share < _LEAST_OVERLAP or not wanted:
             left.append((share, pair))
@@ -87,13 +85,14 @@ def _ends(pair: FragmentPair) -> tuple[FragmentId, FragmentId]:
 
 
 def _overlapping(
-    part: Poses, known: set[frozenset[FragmentId]], surfaces: _Surfaces
+    part: Poses, known: set[frozenset[FragmentId]], fragments: Fragments, surfaces: _Surfaces
 ) -> list[tuple[float, FragmentPair]]:
     """Share of the points that lie on the other fragment, and the pair; most first."""
     found = []
     for source, target in combinations(sorted(part), 2):
         distance = np.linalg.norm(part[source][:2, 3] - part[target][:2, 3])
-        if distance > surfaces.farthest(source, target) or frozenset((source, target)) in known:
+        most = farthest(fragments[source], fragments[target])
+        if distance > most or frozenset((source, target)) in known:
             continue
         pair = FragmentPair(source, target)
         if (share := surfaces.overlap(pair, relative(part[source], part[target]))) > 0:
@@ -107,10 +106,6 @@ class _Surfaces:
     def __init__(self, fragments: Fragments, config: RegistrationConfig) -> None:
         self._fragments, self._config = fragments, config
         self._whole: dict[FragmentId, Surface] = {}
-
-    def farthest(self, one: FragmentId, other: FragmentId) -> float:
-        """Distance, metres, beyond which two fragments hardly see anything together."""
-        return _FARTHEST * max(self._fragments[each].reach for each in (one, other))
 
     def overlap(self, pair: FragmentPair, T_target_source: Transform) -> float:
         """Share of the source's points that lie on the target."""

@@ -15,6 +15,9 @@ from nss_ros.registration.gravity.network import STRIDE, GravityNetwork
 from nss_ros.registration.gravity.raster import CELL, FREE, OCCUPIED, Raster, rasterize
 from nss_ros.registration.gravity.scan import LevelScan, fitting_scan_of
 
+# As a share of how far their maps reach: 7 m for fragments of a Matterport.
+_FARTHEST = 7.0 / 4.8
+
 
 @dataclass(frozen=True, slots=True)
 class SubmapFragment:
@@ -69,6 +72,11 @@ class SubmapFragment:
         maps = rasterize(self.points, self.normals, height, cells)
         features = feature_maps(self.network, maps).astype(np.float16)
         return replace(self, floor=height, maps=features, seen=_seen(maps))
+
+
+def farthest(one: SubmapFragment, other: SubmapFragment) -> float:
+    """Distance, metres, beyond which two fragments hardly see anything together."""
+    return _FARTHEST * max(one.reach, other.reach)
 
 
 def submap_fragment(

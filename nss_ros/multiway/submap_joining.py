@@ -6,6 +6,7 @@ of it are registered with each other, and each that is joined makes the next one
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from heapq import heapify, heappop, heappush
@@ -14,7 +15,7 @@ from itertools import combinations
 import numpy as np
 
 from nss_ros.fragment import FragmentId
-from nss_ros.geometry import inverse
+from nss_ros.geometry import Transform, inverse
 from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
 from nss_ros.multiway.pose_graph import Measurement
 from nss_ros.multiway.spanning_tree import Closeness, Poses
@@ -23,8 +24,10 @@ from nss_ros.multiway.submap import Fragments, Submap, SubmapLink, register_subm
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
 _SURE_PAIRS, _LEAST_ODDS = 2.0, 0.0
-# Submaps between which no pair was asked for may well not touch: logarithm of the odds of that.
-_UNASKED = 6.0
+# Submaps between which no pair was asked for may well not touch: logarithm of the odds of that,
+# at least. Fragments with less than this between their sensors, metres, tell how much they are;
+# of them a share is never asked for.
+_UNASKED, _BESIDE, _MOST_ASKED = 6.0, 2.5, 0.9
 # Links of small submaps are measured when no link of a larger one is left.
 _SMALL, _LATER = 3, -1000.0
 
@@ -62,6 +65,7 @@ class Joining:
         within = [m for m in measurements if m.pair.same_stage]
         parts = joined_parts(fragments, within, close, _SURE_PAIRS)
         self._prepared, self._close = prepared, close
+        self._asked = {frozenset((m.pair.source, m.pair.target)) for m in measurements}
         self.submaps = {n: Submap.of(part, prepared) for n, part in enumerate(parts)}
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
         # A link that was not measured yet, or before one of its submaps grew, has no transform.
@@ -128,9 +132,28 @@ class Joining:
         pairs = self._pairs[one][other]
         link = register_submaps(self.submaps[other], self.submaps[one], pairs, self._close)
         if not pairs:
-            link = replace(link, odds=link.odds - _UNASKED)
+            silence = self._silence(self.submaps[one], self.submaps[other], link.T_target_source)
+            link = replace(link, odds=link.odds - max(silence, _UNASKED))
         self._links[one, other] = link
         heappush(self._queue, (-link.odds, one, other))
+
+    def _silence(self, target: Submap, source: Submap, T_target_source: Transform) -> float:
+        """Logarithm of the odds that a pair would have been asked for, were this link right.
+
+        Of fragments beside each other, that share of the pairs is asked for that it is within
+        submaps. Two like dwellings fit on one another as well as one dwelling on itself; only
+        that nobody asks for pairs of them tells.
+        """
+        beside: Counter[tuple[int, int]] = Counter()
+        asked: Counter[tuple[int, int]] = Counter()
+        for submap in self.submaps.values():
+            for one, other in _pairs_beside(submap.poses, submap.poses):
+                beside[_stages(one, other)] += 1
+                asked[_stages(one, other)] += frozenset((one, other)) in self._asked
+        moved = {id_: T_target_source @ pose for id_, pose in source.poses.items()}
+        between = Counter(_stages(*pair) for pair in _pairs_beside(moved, target.poses))
+        shares = {each: min(asked[each] / (beside[each] + 1), _MOST_ASKED) for each in between}
+        return -sum(count * float(np.log1p(-shares[each])) for each, count in between.items())
 
     def _join(self, one: int, other: int, link: SubmapLink) -> None:
         """Make one submap of two, in the frame of the larger one."""
@@ -151,3 +174,19 @@ class Joining:
             old = [each.odds for each in (known, self._links.get(key)) if each is not None]
             self._links[key] = None
             heappush(self._queue, (-max(old, default=self._guess(*key)), *key))
+
+
+def _pairs_beside(some: Poses, others: Poses) -> list[tuple[FragmentId, FragmentId]]:
+    """Pairs of a fragment of the one and one of the other that are beside each other, each once."""
+    one, other = sorted(some), sorted(others)
+    places = [
+        np.array([poses[id_][:2, 3] for id_ in ids])
+        for poses, ids in ((some, one), (others, other))
+    ]
+    distances = np.linalg.norm(places[0][:, None] - places[1], axis=2)
+    found = [(one[i], other[k]) for i, k in np.argwhere(distances < _BESIDE)]
+    return [(a, b) for a, b in found if a < b or a not in others]
+
+
+def _stages(one: FragmentId, other: FragmentId) -> tuple[int, int]:
+    return min(one.stage, other.stage), max(one.stage, other.stage)

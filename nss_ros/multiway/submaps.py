@@ -21,6 +21,7 @@ from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures
 from nss_ros.multiway.hypotheses import fitting_hypothesis
 from nss_ros.multiway.known import known_by
 from nss_ros.multiway.pose_graph import Measurement, PoseGraph
+from nss_ros.multiway.settling import settled
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import SubmapFragment, submap_fragment
 from nss_ros.multiway.submap_joining import joined_submaps
@@ -93,6 +94,8 @@ class Submaps:
         inside = [m for m in measurements if _both(m, prepared)]
         outside = [m for m in measurements if not _both(m, prepared)]
         parts = joined_submaps(ids, inside, prepared, self._close())
+        held = {end for m in inside if m.manual for end in (m.pair.source, m.pair.target)}
+        parts = [settled(part, prepared, held) for part in parts]
         kept, rejected = _judged(inside, parts)
         found = [
             each

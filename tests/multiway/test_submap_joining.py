@@ -1,6 +1,7 @@
 """Submaps joined to larger ones, from pairs that are ambiguous, wrong or were never asked for."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -143,3 +144,34 @@ def test_a_constraint_of_a_person_joins_what_does_not_touch(building):
     pair = FragmentPair(building.spots(3, 7)[0], building.spots(1, 5)[0])
     (part,) = joined(building, [pair.source, pair.target], [building.right(pair, manual=True)])
     assert_right(building, part)
+
+
+def dwellings(building, *stages):
+    """Two dwellings that look the same: fragments, and measurements of all neighbours in each."""
+    prepared, measurements = {}, []
+    for shift in (0, 100):
+        for stage, spots in stages:
+            for id_ in building.spots(stage, *spots):
+                other = FragmentId(id_.area, id_.stage, id_.spot + shift)
+                prepared[other] = replace(building.prepared[id_], id=other)
+    for source, target in combinations(sorted(prepared), 2):
+        one, other = (building.spots(each.stage, each.spot % 100)[0] for each in (source, target))
+        distance = np.linalg.norm(building.poses[one][:3, 3] - building.poses[other][:3, 3])
+        if source.spot // 100 == target.spot // 100 and distance < 4:
+            right = building.right(FragmentPair(one, other))
+            measurements.append(replace(right, pair=FragmentPair(source, target)))
+    return prepared, measurements
+
+
+def test_like_dwellings_of_which_nobody_asks_are_not_laid_on_one_another(building):
+    prepared, measurements = dwellings(building, (1, (1, 2, 4, 6, 7, 8)), (2, (4, 5, 6, 7)))
+    parts = joined_submaps(prepared, measurements, prepared, CLOSE)
+    assert [{id_.spot // 100 for id_ in part} for part in parts] == [{0}, {1}]
+    assert [len(part) for part in parts] == [10, 10]
+
+
+def test_stages_of_like_dwellings_are_joined_where_no_pair_between_stages_was_asked_for(building):
+    prepared, measurements = dwellings(building, (1, (1, 2, 4, 6, 7, 8)), (2, (4, 5, 6, 7)))
+    within = [m for m in measurements if m.pair.same_stage]
+    parts = joined_submaps(prepared, within, prepared, CLOSE)
+    assert {id_.stage for id_ in parts[0]} == {1, 2}
