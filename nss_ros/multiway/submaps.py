@@ -1,8 +1,8 @@
 """The synchronizer `submaps`: what is ambiguous between two fragments, submaps decide.
 
-The relative transforms of pairs, each ambiguous on its own, are judged by submaps: of each pair
-the hypothesis that fits stays, and relative transforms are found that no pair gave. The line
-process of `choi` then has the last word.
+The relative transforms of pairs, each ambiguous on its own, are judged by submaps: these are
+joined, their fragments settle where they fit best, of each pair the hypothesis that fits stays, and
+relative transforms are found that no pair gave. The line process of `choi` then has the last word.
 """
 
 from __future__ import annotations

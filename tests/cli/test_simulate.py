@@ -1,6 +1,7 @@
 """From a site to a dataset with pairs, graphs, tables and a bag, by the commands."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from nss_ros.dataset.ply import write_ply
 from nss_ros.dataset.refinement import read_refined
 from nss_ros.errors import BagError, ConfigError, FormatError, InputError
 from nss_ros.geometry import from_yaw, inverse, relative, transform_points
+from nss_ros.registration.gravity.scan import is_wide_scan
 
 SMALL = ["--seed", "3", "--spots-per-stage", "4", "--workers", "1"]
 SMALL += ["-s", "simulation.rig.image_width=60", "-s", "simulation.rig.image_height=45"]
@@ -43,6 +45,24 @@ def made(tmp_path_factory):
         "simulate", folder / "site.yaml", "-o", folder / "dataset", "--bag", folder / "bag", *SMALL
     )
     return folder, summary
+
+
+def test_a_laser_scanner_sees_far_in_all_directions(tmp_path):
+    config = Path(__file__).parents[2] / "config" / "laser_scanner.yaml"
+    (tmp_path / "site.yaml").write_text(
+        "areas: {'1': {procedural: {width: 30, depth: 14, stages: 2}}}"
+    )
+    options = ["--config", config, "--spots-per-stage", 1, "--seed", 3, "--workers", 1]
+    options += ["-s", "simulation.rig.image_width=80", "-s", "simulation.rig.image_height=120"]
+    run_json("simulate", tmp_path / "site.yaml", "-o", tmp_path / "dataset", *options)
+    dataset = DatasetFolder(tmp_path / "dataset")
+    for id_ in dataset.fragment_ids():
+        fragment = dataset.fragment(id_)
+        assert is_wide_scan(fragment)
+        azimuth = np.arctan2(fragment.points[:, 1], fragment.points[:, 0])
+        assert np.histogram(azimuth, 12, (-np.pi, np.pi))[0].min() > 100
+        beside = np.hypot(fragment.points[:, 0], fragment.points[:, 1]) < 1
+        assert fragment.points[beside, 2].min() < -1.4  # the floor at its feet
 
 
 def test_the_dataset_and_the_bag_hold_what_the_summary_says(made):
