@@ -55,6 +55,7 @@ SIGNS = (
     "normals",
     "free_space",
     "margin_aligned",
+    "wide",
 )
 
 
@@ -185,7 +186,8 @@ def judged(
         parts: of its score, see `score_parts`.
         search: that it came from.
         config: settings.
-        empty_weight: what the share of points in free space takes from the score, see `wide`.
+        empty_weight: what the share of points in free space takes from the score of wide maps,
+            see `wide`; 0 for those of the usual size.
     """
     peak, refined = alignment.peak, alignment.refined
     transform = refined.T_target_source
@@ -215,6 +217,7 @@ def judged(
         min(source.floor.share, target.floor.share),
         *parts,
         sum(parts) - search.peaks[0].score,
+        float(empty_weight > 0),
     )
     return Candidate(refined, forth, np.array(signs))
 
