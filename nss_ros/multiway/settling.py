@@ -22,8 +22,9 @@ from nss_ros.multiway.submap import Fragments
 from nss_ros.multiway.submap_fragment import farthest
 
 _ROUNDS = 3
-# Fragments around one that are looked at, the nearest, and points of each.
-_AROUND, _POINTS = 12, 3000
+# Fragments around one that are looked at, the nearest, and which of their points, each so many:
+# enough that a surface of theirs has one nearer than `_FITTING` everywhere.
+_AROUND, _STEP = 12, 4
 # Points that are moved; few tell whether anything moves at all, which is mostly not so.
 _MOVED_POINTS, _FEW_POINTS = 2000, 600
 _DISTANCE, _KERNEL, _DAMPING = 0.4, 0.2, 0.001
@@ -169,9 +170,8 @@ def _surface(ids: Sequence[FragmentId], poses: Poses, fragments: Fragments) -> S
     points, normals = [], []
     for id_ in ids:
         fragment, pose = fragments[id_], poses[id_]
-        step = max(len(fragment.points) // _POINTS, 1)
-        points.append(transform_points(pose, fragment.points[::step].astype(np.float64)))
-        normals.append(fragment.normals[::step].astype(np.float64) @ pose[:3, :3].T)
+        points.append(transform_points(pose, fragment.points[::_STEP].astype(np.float64)))
+        normals.append(fragment.normals[::_STEP].astype(np.float64) @ pose[:3, :3].T)
     return Surface.of(np.concatenate(points), np.concatenate(normals))
 
 
