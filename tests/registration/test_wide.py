@@ -79,7 +79,7 @@ def test_they_have_wide_maps_and_no_other_features(site, features):
 
 
 @pytest.mark.parametrize(
-    ("source", "target", "least"), [(ONE, OTHER, 0.4), (OTHER, ONE, 0.4), (ONE, LATER, 0.3)]
+    ("source", "target", "least"), [(ONE, OTHER, 0.8), (OTHER, ONE, 0.8), (ONE, LATER, 0.6)]
 )
 def test_they_are_registered_and_known_to_be_right(method, site, features, source, target, least):
     _, poses = site
@@ -92,17 +92,19 @@ def test_they_are_registered_and_known_to_be_right(method, site, features, sourc
     assert total <= 1 + 1e-6
 
 
-def test_of_two_buildings_the_confidence_is_low(method, features):
-    confidences = []
+def test_of_two_buildings_the_confidence_is_lower(method, features):
+    confidences: dict[int, list[float]] = {1: [], 3: []}
     for use, width in (("hospital", 24), ("laboratory", 30)):
         floor = build_floor("2", SiteConfig(use=use, width=width, depth=14, stages=3), 4)
         for stage in (1, 3):
             scene, rng = Scene(floor.stage_mesh(stage).mesh), np.random.default_rng(2)
             points, _ = laser_scan(scene, PLACES[ONE], rng)
             elsewhere = method.prepare(Fragment(FragmentId("2", stage, 1), points, True))
-            confidences.append(method.register(features[ONE], elsewhere, 0).confidence)
-    # Two bare shells of one size may look alike: not each is below those that are right.
-    assert np.mean(confidences) < 0.25
+            answer = method.register(features[ONE], elsewhere, 0)
+            confidences[stage].append(answer.confidence)
+    # Two bare shells of one size look alike; still each is below those that are right.
+    assert max(confidences[1]) < 0.6
+    assert max(confidences[3]) < 0.15
 
 
 @pytest.mark.parametrize("turned", [False, True])
