@@ -29,6 +29,7 @@ from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import SubmapFragment
 from nss_ros.registration.gravity.agreement import WallView, agreement
 from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
+from nss_ros.registration.gravity.wide import evening
 
 # Points of a submap: of its surface, and of what is moved in ICP.
 _VOXEL_SIZE = 0.1
@@ -50,8 +51,10 @@ _LARGE, _MOST_BY_PAIRS = 3, 8.0
 _NOTHING = 10.0
 # Within a stage nothing moves: points in what others saw to be empty, more than some by the noise
 # of the sensor, speak against a pose. Of each pose the nearest pairs of fragments are looked at.
-_CONFLICT_WEIGHT, _NO_CONFLICT = 150.0, 0.02
+_CONFLICT_WEIGHT, NO_CONFLICT = 150.0, 0.02
 _MOST_VIEWS, _VIEW_DISTANCE = 6, 6.0
+# Scans that reach far see more of each other, so that a wrong place is a smaller share of it.
+_WIDE_WEIGHT, WIDE_NONE = 600.0, 0.005
 
 Fragments = Mapping[FragmentId, SubmapFragment]
 
@@ -66,6 +69,7 @@ class Submap:
         surface: all points.
         moved: some of them.
         floor: height above which the slices of the features are, metres.
+        cells: along each side of the features of a fragment, the median.
         views: what the scanners of its fragments saw.
     """
 
@@ -74,6 +78,7 @@ class Submap:
     surface: Surface
     moved: Surface
     floor: float
+    cells: int
     views: Mapping[FragmentId, WallView]
 
     @classmethod
@@ -100,7 +105,8 @@ class Submap:
         cloud, directions = cloud[kept], directions[kept]
         moved = Surface.sample(cloud, directions, _MOVED_POINTS)
         views = {id_: fragments[id_].view for id_ in poses}
-        return cls(poses, canvas, Surface.of(cloud, directions), moved, floor, views)
+        cells = int(np.median([fragments[id_].seen.shape[-1] for id_ in poses]))
+        return cls(poses, canvas, Surface.of(cloud, directions), moved, floor, cells, views)
 
 
 def _on_floor(poses: Poses, fragments: Fragments, floor: float) -> dict[FragmentId, SubmapFragment]:
@@ -210,13 +216,25 @@ def _apart(
 def _score(
     source: Submap, target: Submap, transform: Transform, votes: Votes | None, close: Closeness
 ) -> float:
-    score = canvas_score(source.canvas, target.canvas, transform)
-    score -= _CONFLICT_WEIGHT * max(_conflict(source, target, transform) - _NO_CONFLICT, 0.0)
+    share = evening(source.cells, target.cells)
+    score = share * canvas_score(source.canvas, target.canvas, transform)
+    score -= conflict_loss(_conflict(source, target, transform), wide=share < 1)
     if votes is not None:
         gain = votes.scores(votes.agreement(transform[None], close))[0] - votes.doubts.sum()
         large = min(len(source.poses), len(target.poses)) >= _LARGE
         score += min(_PAIRS_WEIGHT * float(gain), _MOST_BY_PAIRS if large else np.inf)
     return score
+
+
+def conflict_loss(conflict: float, wide: bool) -> float:
+    """What a conflict within a stage takes from the score of a pose, logarithm.
+
+    Args:
+        conflict: share of what scanners see of each other's walls that cannot be there.
+        wide: they reach far.
+    """
+    weight, none = (_WIDE_WEIGHT, WIDE_NONE) if wide else (_CONFLICT_WEIGHT, NO_CONFLICT)
+    return weight * max(conflict - none, 0.0)
 
 
 def _conflict(source: Submap, target: Submap, transform: Transform) -> float:

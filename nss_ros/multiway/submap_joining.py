@@ -6,6 +6,7 @@ of it are registered with each other, and each that is joined makes the next one
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -17,9 +18,18 @@ import numpy as np
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, inverse
 from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
-from nss_ros.multiway.pose_graph import Measurement
+from nss_ros.multiway.pose_graph import Alternative, Measurement
 from nss_ros.multiway.spanning_tree import Closeness, Poses
-from nss_ros.multiway.submap import Fragments, Submap, SubmapLink, register_submaps
+from nss_ros.multiway.submap import (
+    NO_CONFLICT,
+    WIDE_NONE,
+    Fragments,
+    Submap,
+    SubmapLink,
+    conflict_loss,
+    register_submaps,
+)
+from nss_ros.registration.gravity.agreement import agreement
 
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
@@ -30,6 +40,8 @@ _SURE_PAIRS, _LEAST_ODDS = 2.0, 0.0
 _UNASKED, _BESIDE, _MOST_ASKED = 6.0, 2.5, 0.9
 # Links of small submaps are measured when no link of a larger one is left.
 _SMALL, _LATER = 3, -1000.0
+# Maps of usual fragments end before this, metres.
+_REACHES_FAR = 5.0
 
 
 def joined_submaps(
@@ -62,7 +74,7 @@ class Joining:
         prepared: Fragments,
         close: Closeness,
     ) -> None:
-        within = [m for m in measurements if m.pair.same_stage]
+        within = [_doubted(m, prepared) for m in measurements if m.pair.same_stage]
         parts = joined_parts(fragments, within, close, _SURE_PAIRS)
         self._prepared, self._close = prepared, close
         self._asked = {frozenset((m.pair.source, m.pair.target)) for m in measurements}
@@ -174,6 +186,38 @@ class Joining:
             old = [each.odds for each in (known, self._links.get(key)) if each is not None]
             self._links[key] = None
             heappush(self._queue, (-max(old, default=self._guess(*key)), *key))
+
+
+def _doubted(m: Measurement, prepared: Fragments) -> Measurement:
+    """A measurement within a stage, its hypotheses less probable the more conflict they have.
+
+    Fragments of a Matterport see too little of each other for that: submaps are asked instead.
+    """
+    source, target = prepared[m.pair.source], prepared[m.pair.target]
+    if m.manual or min(source.reach, target.reach) < _REACHES_FAR:
+        return m
+    first = Alternative(m.T_target_source, m.information, m.confidence)
+    listed = (first, *m.alternatives)
+    conflicts = np.array(
+        [agreement(source.view, target.view, each.T_target_source).conflict for each in listed]
+    )
+    # People and glass are noise of every hypothesis.
+    noise = float(conflicts.min().clip(WIDE_NONE, NO_CONFLICT)) - WIDE_NONE
+    ranked = [
+        replace(
+            each,
+            probability=each.probability * math.exp(-conflict_loss(conflict - noise, wide=True)),
+        )
+        for each, conflict in zip(listed, conflicts.tolist(), strict=True)
+    ]
+    best, *rest = sorted(ranked, key=lambda each: -each.probability)
+    return replace(
+        m,
+        T_target_source=best.T_target_source,
+        information=best.information,
+        confidence=best.probability,
+        alternatives=tuple(rest),
+    )
 
 
 def _pairs_beside(some: Poses, others: Poses) -> list[tuple[FragmentId, FragmentId]]:

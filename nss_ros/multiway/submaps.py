@@ -51,7 +51,7 @@ class Submaps:
         )
         # The sums of one thread are always the same.
         torch.set_num_threads(1)
-        self._network, _ = load_weights(config.submap_weights)
+        self._network = load_weights(config.submap_weights).network
         self._choi = Choi(config)
 
     def prepare(self, fragment: Fragment) -> SubmapFragment | None:

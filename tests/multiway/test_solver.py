@@ -100,7 +100,7 @@ def test_what_is_known_is_for_solutions_without_points(solver, problem, fragment
 
 def test_another_configuration_prepares_anew(solver, problem, fragments, expected, tmp_path):
     path = tmp_path / "weights.safetensors"
-    save_weights(path, *load_weights())
+    save_weights(path, load_weights())
     assert submap_edges(solver.solve_with_points(problem, fragments).result())
     same_weights = Problem(CONFIG.model_copy(update={"submap_weights": str(path)}), *_rest(problem))
     # What was prepared by other weights is not used.
@@ -114,7 +114,7 @@ def test_what_failed_is_tried_again(solver, problem, fragments, expected, tmp_pa
     missing = Problem(CONFIG.model_copy(update={"submap_weights": str(path)}), *_rest(problem))
     with pytest.raises(MethodError, match="weights"):
         solver.solve_with_points(missing, fragments).result()
-    save_weights(path, *load_weights())
+    save_weights(path, load_weights())
     assert edges(solver.solve_with_points(missing, fragments).result()) == edges(expected)
 
 

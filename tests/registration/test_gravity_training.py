@@ -23,6 +23,8 @@ areas:
   "2": {procedural: {width: 14, depth: 11, stages: 2, use: residential}}
 """
 
+FEW = ("--verifier-pairs", 4, "--comparison-steps", 2, "--workers", 1)
+
 
 @pytest.fixture(scope="module")
 def datasets(tmp_path_factory):
@@ -49,7 +51,7 @@ def of(datasets):
 def test_training_gives_weights_that_are_reproducible_and_usable(monkeypatch, tmp_path, datasets):
     files = [tmp_path / "one.safetensors", tmp_path / "other.safetensors"]
     for file in files:
-        options = ("--steps", 2, "--verifier-pairs", 4, "--workers", 1)
+        options = ("--steps", 2, *FEW)
         train(monkeypatch, *of(datasets), "-o", file, *options)
     assert files[0].read_bytes() == files[1].read_bytes()
     config = RegistrationConfig(method="gravity", gravity={"weights": str(files[0])})
@@ -60,7 +62,7 @@ def test_training_gives_weights_that_are_reproducible_and_usable(monkeypatch, tm
 
 def test_training_goes_on_from_other_weights(monkeypatch, tmp_path, datasets):
     first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
-    options = ("--verifier-pairs", 4, "--workers", 1)
+    options = FEW
     train(monkeypatch, *of(datasets), "-o", first, "--steps", 2, *options)
     further = ("--start", first, "--seed", 5, "--steps", 1)
     train(monkeypatch, *of(datasets), "-o", second, *further, *options)

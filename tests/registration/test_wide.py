@@ -1,15 +1,19 @@
 """Scans that reach far, by a scanner of its own that looks at a small procedural floor."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from nss_ros.config import MultiwayConfig, RegistrationConfig, SiteConfig
-from nss_ros.fragment import Fragment, FragmentId, voxelize
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
 from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
+from nss_ros.multiway.pose_graph import Alternative, Measurement
 from nss_ros.multiway.solver import prepared_by
+from nss_ros.multiway.spanning_tree import Closeness
+from nss_ros.multiway.submap_joining import joined_submaps
 from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
 from nss_ros.registration.gravity.network import CHANNELS, as_target
 from nss_ros.registration.gravity.raster import SIZE
@@ -103,7 +107,10 @@ def test_of_two_buildings_the_confidence_is_lower(method, features):
             answer = method.register(features[ONE], elsewhere, 0)
             confidences[stage].append(answer.confidence)
     # Two bare shells of one size look alike; still each is below those that are right.
-    assert max(confidences[1]) < 0.6
+    right = [
+        method.register(features[ONE], features[each], 0).confidence for each in (OTHER, LATER)
+    ]
+    assert max(confidences[1]) < min(0.8, *right)
     assert max(confidences[3]) < 0.15
 
 
@@ -142,6 +149,28 @@ def test_on_a_canvas_they_find_the_place_of_one_that_sees_more_or_less(site, rea
     assert min(errors) < 0.5
     best = found[int(np.argmin(errors))]
     assert canvas_score(source, target, best) > canvas_score(source, target, np.eye(4)) + 10
+
+
+def test_within_a_stage_a_place_that_cannot_be_is_not_taken_however_sure_a_pair_is(site):
+    fragments, poses = site
+    config = MultiwayConfig(synchronizer="submaps")
+    prepared = prepared_by(config, (fragments[ONE], fragments[OTHER]))
+    truth = relative(poses[ONE], poses[OTHER])
+    beside = truth.copy()
+    beside[:2, 3] += (3.0, 0.6)
+    sure = Measurement(
+        FragmentPair(ONE, OTHER),
+        beside,
+        confidence=0.9,
+        level=True,
+        alternatives=(Alternative(truth, np.eye(6), 0.05),),
+    )
+    (part,) = joined_submaps([ONE, OTHER], [sure], prepared, Closeness(0.4, np.radians(6)))
+    assert np.linalg.norm((relative(part[ONE], part[OTHER]) - truth)[:3, 3]) < 0.1
+    # But a person is right.
+    manual = replace(sure, manual=True)
+    (part,) = joined_submaps([ONE, OTHER], [manual], prepared, Closeness(0.4, np.radians(6)))
+    assert np.linalg.norm((relative(part[ONE], part[OTHER]) - beside)[:3, 3]) < 0.1
 
 
 def test_the_same_bytes_come_again_and_after_pickling(method, features):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from nss_ros.registration.gravity.network import STRIDE, VECTORS
@@ -91,6 +93,12 @@ def score_parts(source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor) ->
     products = (rotated(source, yaws, shifts, target.shape[-1]) * target).sum(dim=(2, 3))
     groups = (products[:, : VECTORS.start], products[:, VECTORS], products[:, VECTORS.stop :])
     return torch.stack([each.sum(dim=1) for each in groups], dim=1)
+
+
+def planar(transforms: NDArray[np.float64]) -> tuple[Tensor, Tensor]:
+    """Yaws (k,), radians, and shifts (k, 2), metres, of transforms (k, 4, 4)."""
+    yaws = np.arctan2(transforms[:, 1, 0], transforms[:, 0, 0])
+    return torch.from_numpy(yaws).float(), torch.from_numpy(transforms[:, :2, 3]).float()
 
 
 def yaw_angles() -> Tensor:

@@ -29,7 +29,8 @@ from nss_ros.geometry import (
 )
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
-from nss_ros.registration.gravity.correlation import score_parts
+from nss_ros.registration.gravity.comparison import compared
+from nss_ros.registration.gravity.correlation import planar, score_parts
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.raster import Raster
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
@@ -90,7 +91,7 @@ class Gravity:
         torch.set_num_threads(1)
         self.config = config
         self._generic = FpfhRansac(config)
-        self._network, self._verifier = networks or load_weights(config.gravity.weights)
+        self._networks = networks or load_weights(config.gravity.weights)
 
     def prepare(self, fragment: Fragment) -> GravityFeatures:
         """Points, maps and features of a fragment."""
@@ -105,7 +106,9 @@ class Gravity:
         if count < self.config.min_points:
             return GravityFeatures(scan.id, count, None, None, None)
         shape = Shape.of(scan, self.config)
-        return GravityFeatures(scan.id, count, shape, feature_maps(self._network, scan.maps), None)
+        return GravityFeatures(
+            scan.id, count, shape, feature_maps(self._networks.network, scan.maps), None
+        )
 
     def register(
         self, source: GravityFeatures, target: GravityFeatures, seed: int
@@ -142,12 +145,30 @@ class Gravity:
             alignment = aligned(source.shape, target.shape, peak, self.config)
             if not _is_known(alignment.refined.T_target_source, alignments):
                 alignments.append(alignment)
-        maps = self._maps(source, target)
-        parts = score_parts(*maps, *_planar(alignments)).tolist()
-        weight = empty_weight(_same_stage(source, target)) if is_wide(*maps) else 0.0
+        maps, poses = (
+            self._maps(source, target),
+            planar(np.stack([each.refined.T_target_source for each in alignments])),
+        )
+        parts = score_parts(*maps, *poses).tolist()
+        weight, looks = 0.0, [0.0] * len(alignments)
+        if is_wide(*maps):
+            weight = empty_weight(_same_stage(source, target))
+        else:
+            # `as_target` twice gives the features as a source again.
+            both = maps[0], as_target(maps[1])
+            looks = compared(self._networks.comparison, *both, *poses).tolist()
         return tuple(
-            judged(source.shape, target.shape, alignment, each, found, self.config, weight)
-            for alignment, each in zip(alignments, parts, strict=True)
+            judged(
+                source.shape,
+                target.shape,
+                alignment,
+                each,
+                (look, look - max(looks)),
+                found,
+                self.config,
+                weight,
+            )
+            for alignment, each, look in zip(alignments, parts, looks, strict=True)
         )
 
     def search(self, source: GravityFeatures, target: GravityFeatures) -> Search:
@@ -174,7 +195,9 @@ class Gravity:
         self, pair: FragmentPair, source: GravityFeatures, target: GravityFeatures
     ) -> RelativeTransform:
         candidates = self.candidates(source, target)
-        judgement = judge(self._verifier, [each.signs for each in candidates], pair.same_stage)
+        judgement = judge(
+            self._networks.verifier, [each.signs for each in candidates], pair.same_stage
+        )
         order = np.argsort(-judgement.probabilities, kind="stable")
         best = candidates[order[0]]
         hypotheses = tuple(
@@ -242,13 +265,6 @@ def hypothesis_spread(
 
 def _same_stage(source: GravityFeatures, target: GravityFeatures) -> bool:
     return FragmentPair(source.id, target.id).same_stage
-
-
-def _planar(alignments: Sequence[Alignment]) -> tuple[Tensor, Tensor]:
-    """Yaws (k,) and shifts (k, 2) of alignments."""
-    transforms = np.stack([each.refined.T_target_source for each in alignments])
-    yaws = np.arctan2(transforms[:, 1, 0], transforms[:, 0, 0])
-    return torch.from_numpy(yaws).float(), torch.from_numpy(transforms[:, :2, 3]).float()
 
 
 def _is_known(transform: Transform, alignments: Sequence[Alignment]) -> bool:

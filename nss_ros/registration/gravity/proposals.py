@@ -47,7 +47,7 @@ def sketch(fragment: Fragment, config: RegistrationConfig) -> Sketch | None:
     scan = fitting_scan_of(fragment, config)
     if len(scan.points) < config.min_points:
         return None
-    network, _ = load_weights(config.gravity.weights)
+    network = load_weights(config.gravity.weights).network
     maps = torch.from_numpy(feature_maps(network, scan.maps))
     return Sketch(fragment.id, np.asarray(pooled(maps).numpy(), dtype=np.float16))
 

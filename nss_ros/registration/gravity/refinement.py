@@ -56,7 +56,11 @@ SIGNS = (
     "free_space",
     "margin_aligned",
     "wide",
+    "comparison",
+    "comparison_margin",
 )
+#: Signs that the second look gives; 0 for wide maps, which it does not know.
+COMPARISON_SIGNS = (SIGNS.index("comparison"), SIGNS.index("comparison_margin"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +177,7 @@ def judged(
     target: Shape,
     alignment: Alignment,
     parts: Sequence[float],
+    second_look: tuple[float, float],
     search: Search,
     config: RegistrationConfig,
     empty_weight: float = 0.0,
@@ -184,6 +189,7 @@ def judged(
         target: of the pair.
         alignment: one of the pair's.
         parts: of its score, see `score_parts`.
+        second_look: log-odds of it, see `compared`, and by how much another one has more.
         search: that it came from.
         config: settings.
         empty_weight: what the share of points in free space takes from the score of wide maps,
@@ -218,6 +224,7 @@ def judged(
         *parts,
         sum(parts) - search.peaks[0].score,
         float(empty_weight > 0),
+        *second_look,
     )
     return Candidate(refined, forth, np.array(signs))
 

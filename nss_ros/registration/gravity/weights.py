@@ -7,6 +7,7 @@ from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import NamedTuple
 
 from safetensors.torch import load, save
 from torch import Tensor
@@ -14,13 +15,35 @@ from torch.nn import Module
 
 from nss_ros.errors import MethodError
 from nss_ros.files import write_file
+from nss_ros.registration.gravity.comparison import Comparison
 from nss_ros.registration.gravity.network import GravityNetwork
 from nss_ros.registration.gravity.verifier import Verifier
 
-Networks = tuple[GravityNetwork, Verifier]
-
 _FILE = "gravity.safetensors"
-_NETWORK, _VERIFIER = "network.", "verifier."
+_NETWORK = "network."
+
+
+class Networks(NamedTuple):
+    """What is trained.
+
+    Attributes:
+        network: the features by which all poses are scored.
+        comparison: the second look at those that are aligned.
+        verifier: their probabilities.
+    """
+
+    network: GravityNetwork
+    comparison: Comparison
+    verifier: Verifier
+
+    @classmethod
+    def untrained(cls) -> Networks:
+        """Networks with weights at random."""
+        return cls(GravityNetwork(), Comparison(), Verifier())
+
+    def parts(self) -> dict[str, Module]:
+        """The networks by the beginning of the names of their tensors in a file."""
+        return {_NETWORK: self.network, "comparison.": self.comparison, "verifier.": self.verifier}
 
 
 @cache
@@ -31,9 +54,11 @@ def load_weights(path: str = "") -> Networks:
         MethodError: there is no such file, or it is not of this method.
     """
     source = Path(path) if path else files("nss_ros.registration.gravity") / _FILE
-    network, verifier = GravityNetwork(), Verifier()
-    _load(source, {_NETWORK: network, _VERIFIER: verifier})
-    return network.eval(), verifier.eval()
+    networks = Networks.untrained()
+    _load(source, networks.parts())
+    for each in networks:
+        each.eval()
+    return networks
 
 
 def load_network(path: Path) -> GravityNetwork:
@@ -58,11 +83,14 @@ def _load(source: Traversable, modules: Mapping[str, Module]) -> None:
         ) from error
 
 
-def save_weights(path: Path, network: GravityNetwork, verifier: Verifier) -> None:
+def save_weights(path: Path, networks: Networks) -> None:
     """Writes the networks to a file."""
-    tensors = {_NETWORK + name: value for name, value in network.state_dict().items()}
-    tensors |= {_VERIFIER + name: value for name, value in verifier.state_dict().items()}
-    write_file(path, save({name: value.contiguous() for name, value in tensors.items()}))
+    tensors = {
+        prefix + name: value.contiguous()
+        for prefix, module in networks.parts().items()
+        for name, value in module.state_dict().items()
+    }
+    write_file(path, save(tensors))
 
 
 def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

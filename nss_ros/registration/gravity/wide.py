@@ -56,8 +56,12 @@ def evened(source: Tensor, target: Tensor, pool: int = 1) -> Tensor:
         target: (c, m, m) float32.
         pool: how many cells along each side were made one.
     """
-    usual = _USUAL / pool
-    return source * (usual / min(source.shape[-1], target.shape[-1])) ** 2
+    return source * evening(source.shape[-1] * pool, target.shape[-1] * pool)
+
+
+def evening(source: int, target: int) -> float:
+    """The same as a factor, for features of so many cells along each side."""
+    return min(_USUAL / min(source, target), 1.0) ** 2
 
 
 def empty_weight(same_stage: bool) -> float:
