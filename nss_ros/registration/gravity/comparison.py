@@ -19,6 +19,8 @@ _WIDTH = 32
 _MOST = 8.0
 # Sums over the cells of a usual map are about this large.
 _CELLS = 40.0
+# More poses at a time would not stay in the cache.
+_BATCH = 12
 
 
 class Comparison(nn.Module):
@@ -76,10 +78,18 @@ def compared(
         yaws: (k,) of `T_target_source`, radians.
         shifts: (k, 2), x and y of it, metres.
     """
+    with torch.inference_mode():
+        parts = zip(yaws.split(_BATCH), shifts.split(_BATCH), strict=True)
+        looks = [_compared(comparison, source, target, one, other) for one, other in parts]
+        return torch.cat(looks)
+
+
+def _compared(
+    comparison: Comparison, source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor
+) -> Tensor:
     cosines, sines = yaws.cos(), yaws.sin()
     x, y = shifts.unbind(dim=1)
     back = torch.stack((-cosines * x - sines * y, sines * x - cosines * y), dim=1)
-    with torch.inference_mode():
-        forth = comparison(rotated(source, yaws, shifts), as_target(target))
-        mean: Tensor = (forth + comparison(rotated(target, -yaws, back), as_target(source))) / 2
-        return mean
+    forth = comparison(rotated(source, yaws, shifts), as_target(target))
+    mean: Tensor = (forth + comparison(rotated(target, -yaws, back), as_target(source))) / 2
+    return mean
