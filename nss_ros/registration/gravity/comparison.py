@@ -79,7 +79,7 @@ def compared(
         shifts: (k, 2), x and y of it, metres.
     """
     with torch.inference_mode():
-        parts = zip(yaws.split(_BATCH), shifts.split(_BATCH), strict=True)
+        parts = zip(torch.split(yaws, _BATCH), torch.split(shifts, _BATCH), strict=True)
         looks = [_compared(comparison, source, target, one, other) for one, other in parts]
         return torch.cat(looks)
 
