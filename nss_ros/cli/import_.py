@@ -14,12 +14,16 @@ from rich.progress import track
 from nss_ros.bag import write_bag
 from nss_ros.cli.output import print_json
 from nss_ros.cli.progress import progress_bar
+from nss_ros.config import PairConfig
+from nss_ros.dataset.annotate import pair_sets
+from nss_ros.dataset.bag_export import export_bag
 from nss_ros.dataset.challenge_folder import (
     ChallengeFolder,
     PairChoice,
     read_folder,
     read_fragment,
 )
+from nss_ros.dataset.folder import GRAPH_FOLDER, DatasetFolder
 from nss_ros.dataset.levelness import files_look_levelled
 from nss_ros.dataset.manifest import MANIFEST_NAME, read_manifest
 from nss_ros.dataset.release import Release, is_release, read_release
@@ -104,7 +108,8 @@ def import_folder(
 
     Reads the field names of 2024 and 2025. Several graphs share their fragments and pairs in one
     bag. Ground truth goes to the topic ground_truth, which only the scorer reads. A release may
-    become a dataset folder instead, for 'nss graphs', 'nss stats' and 'nss refine'.
+    become a dataset folder instead, for 'nss graphs', 'nss stats' and 'nss refine'. Of a simulated
+    dataset without graphs, all fragments and the pairs that overlap go into the bag.
     """
     if folder.is_dir() and is_release(folder):
         release = read_release(folder)
@@ -118,6 +123,9 @@ def import_folder(
         chosen = [str(name) for name in sets] if sets else list(SETS)
         challenge = as_challenge(release, split, chosen, multiway, graph)
         layout = "release"
+    elif kind is Kind.BAG and graph is None and _is_without_graphs(folder):
+        _import_pairs(DatasetFolder(folder), output, json)
+        return
     else:
         if kind is Kind.DATASET:
             raise InputError(
@@ -217,6 +225,31 @@ class _Fragments:
             self.points += len(fragment.points)
             self.dropped += dropped
             yield fragment
+
+
+def _is_without_graphs(folder: Path) -> bool:
+    """A dataset of ours holds graphs only after 'nss graphs'; its other files are none."""
+    return (folder / MANIFEST_NAME).exists() and not any((folder / GRAPH_FOLDER).rglob("*.json"))
+
+
+def _import_pairs(dataset: DatasetFolder, output: Path, json: bool) -> None:
+    """All fragments of a dataset and its pairs that overlap, as 'nss simulate --bag' has them."""
+    pairs = PairConfig.model_validate(dataset.manifest.steps.get("pairs", {}).get("pairs", {}))
+    (table,) = pair_sets(dataset, None).values()
+    export_bag(output, dataset, table, pairs.min_overlap)
+    chosen = table.take(table.overlap_ratio >= pairs.min_overlap)
+    counts = {"fragments": len(dataset.fragment_ids()), "pairs": len(chosen)}
+    if json:
+        print_json({"bag": str(output)} | counts)
+        return
+    Console().print(
+        "Imported all {fragments} fragments of the dataset, which holds no pose graphs, and its "
+        "{pairs} pairs that overlap.".format(**counts),
+        f"Bag: {output}",
+        sep="\n",
+        soft_wrap=True,
+        highlight=False,
+    )
 
 
 def _summary(

@@ -1,6 +1,7 @@
 """From a site to a dataset with pairs, graphs, tables and a bag, by the commands."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,23 @@ def made(tmp_path_factory):
         "simulate", folder / "site.yaml", "-o", folder / "dataset", "--bag", folder / "bag", *SMALL
     )
     return folder, summary
+
+
+def test_a_dataset_without_graphs_becomes_the_same_bag(made, tmp_path):
+    folder, summary = made
+    shutil.copytree(folder / "dataset", tmp_path / "dataset")
+    shutil.rmtree(tmp_path / "dataset" / "pose_graph", ignore_errors=True)
+    imported = run_json("import", tmp_path / "dataset", "-o", tmp_path / "bag")
+    assert imported["fragments"] == summary["fragments"]
+    one, other = read_log(folder / "bag"), read_log(tmp_path / "bag")
+    assert (one.pairs, list(one.fragments)) == (other.pairs, list(other.fragments))
+    assert [graph.poses().keys() for graph in one.ground_truth] == [
+        graph.poses().keys() for graph in other.ground_truth
+    ]
+    (tmp_path / "dataset" / "pairs.csv").unlink()
+    result = run("import", tmp_path / "dataset", "-o", tmp_path / "none")
+    assert isinstance(result.exception, InputError)
+    assert "nss pairs" in str(result.exception)
 
 
 def test_a_laser_scanner_sees_far_in_all_directions(tmp_path):
