@@ -14,7 +14,7 @@ from rich.progress import track
 from nss_ros.bag import write_bag
 from nss_ros.cli.output import print_json
 from nss_ros.cli.progress import progress_bar
-from nss_ros.config import PairConfig
+from nss_ros.config import PairConfig, validated
 from nss_ros.dataset.annotate import pair_sets
 from nss_ros.dataset.bag_export import export_bag
 from nss_ros.dataset.challenge_folder import (
@@ -123,7 +123,12 @@ def import_folder(
         chosen = [str(name) for name in sets] if sets else list(SETS)
         challenge = as_challenge(release, split, chosen, multiway, graph)
         layout = "release"
-    elif kind is Kind.BAG and graph is None and _is_without_graphs(folder):
+    elif kind is Kind.BAG and _is_without_graphs(folder):
+        if graph is not None or pairs is not PairChoice.AUTO or gravity_aligned is not None:
+            raise InputError(
+                f"{folder} is a dataset without pose graphs, of which --graph, --pairs and "
+                f"--gravity-aligned are: run 'nss graphs {folder}' first, or leave them out."
+            )
         _import_pairs(DatasetFolder(folder), output, json)
         return
     else:
@@ -234,10 +239,10 @@ def _is_without_graphs(folder: Path) -> bool:
 
 def _import_pairs(dataset: DatasetFolder, output: Path, json: bool) -> None:
     """All fragments of a dataset and its pairs that overlap, as 'nss simulate --bag' has them."""
-    pairs = PairConfig.model_validate(dataset.manifest.steps.get("pairs", {}).get("pairs", {}))
     (table,) = pair_sets(dataset, None).values()
-    export_bag(output, dataset, table, pairs.min_overlap)
-    chosen = table.take(table.overlap_ratio >= pairs.min_overlap)
+    made = dataset.manifest.steps.get("pairs", {})
+    config = validated(PairConfig, made.get("pairs", {}), MANIFEST_NAME)
+    chosen = export_bag(output, dataset, table, config.min_overlap)
     counts = {"fragments": len(dataset.fragment_ids()), "pairs": len(chosen)}
     if json:
         print_json({"bag": str(output)} | counts)

@@ -146,8 +146,7 @@ def _bag(
             progress.update(tasks[name], completed=done, total=total)
 
         made = add_pairs(dataset, pairs, settings.dataset.splits, seed, workers, report=report)
-        export_bag(bag, dataset, made.pairs, pairs.min_overlap)
-    chosen = made.pairs.take(made.pairs.overlap_ratio >= pairs.min_overlap)
+        chosen = export_bag(bag, dataset, made.pairs, pairs.min_overlap)
     same = int(chosen.same_stage.sum())
     return {
         "path": str(bag),

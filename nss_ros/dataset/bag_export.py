@@ -18,7 +18,9 @@ from nss_ros.geometry import relative
 from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGraph
 
 
-def export_bag(path: Path, dataset: DatasetFolder, pairs: PairTable, min_overlap: float) -> None:
+def export_bag(
+    path: Path, dataset: DatasetFolder, pairs: PairTable, min_overlap: float
+) -> PairTable:
     """Write all fragments of a dataset, in canonical order, and the pairs that overlap enough.
 
     Ground truth of a pair is its refined transform, or else that of the poses.
@@ -29,6 +31,9 @@ def export_bag(path: Path, dataset: DatasetFolder, pairs: PairTable, min_overlap
         pairs: of the dataset.
         min_overlap: least overlap ratio of a pair.
 
+    Returns:
+        The pairs in the bag.
+
     Raises:
         BagError: the folder exists or cannot be written.
         FormatError: a fragment cannot be read.
@@ -36,6 +41,7 @@ def export_bag(path: Path, dataset: DatasetFolder, pairs: PairTable, min_overlap
     chosen = pairs.take(pairs.overlap_ratio >= min_overlap)
     graphs = [ground_truth_graph(dataset, area, chosen) for area in dataset.areas()]
     write_bag(path, _fragments(dataset), chosen.pairs, graphs, dataset_metadata(dataset))
+    return chosen
 
 
 def _fragments(dataset: DatasetFolder) -> Iterator[Fragment]:

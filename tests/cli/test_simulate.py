@@ -59,6 +59,9 @@ def test_a_dataset_without_graphs_becomes_the_same_bag(made, tmp_path):
     assert [graph.poses().keys() for graph in one.ground_truth] == [
         graph.poses().keys() for graph in other.ground_truth
     ]
+    result = run("import", tmp_path / "dataset", "-o", tmp_path / "none", "--pairs", "all")
+    assert isinstance(result.exception, InputError)
+    assert "nss graphs" in str(result.exception)
     (tmp_path / "dataset" / "pairs.csv").unlink()
     result = run("import", tmp_path / "dataset", "-o", tmp_path / "none")
     assert isinstance(result.exception, InputError)
