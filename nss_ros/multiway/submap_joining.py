@@ -30,6 +30,7 @@ from nss_ros.multiway.submap import (
     register_submaps,
 )
 from nss_ros.registration.gravity.agreement import agreement
+from nss_ros.registration.gravity.wide import evening
 
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
@@ -40,8 +41,6 @@ _SURE_PAIRS, _LEAST_ODDS = 2.0, 0.0
 _UNASKED, _BESIDE, _MOST_ASKED = 6.0, 2.5, 0.9
 # Links of small submaps are measured when no link of a larger one is left.
 _SMALL, _LATER = 3, -1000.0
-# Maps of usual fragments end before this, metres.
-_REACHES_FAR = 5.0
 
 
 def joined_submaps(
@@ -194,7 +193,7 @@ def _doubted(m: Measurement, prepared: Fragments) -> Measurement:
     Fragments of a Matterport see too little of each other for that: submaps are asked instead.
     """
     source, target = prepared[m.pair.source], prepared[m.pair.target]
-    if m.manual or min(source.reach, target.reach) < _REACHES_FAR:
+    if m.manual or evening(source.seen.shape[-1], target.seen.shape[-1]) == 1:
         return m
     first = Alternative(m.T_target_source, m.information, m.confidence)
     listed = (first, *m.alternatives)

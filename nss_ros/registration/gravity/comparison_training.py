@@ -99,13 +99,20 @@ def _with_look(case: Case, comparison: Comparison) -> NDArray[np.float64]:
     return signs
 
 
+def _without_look(case: Case) -> NDArray[np.float64]:
+    signs = case.signs.copy()
+    signs[:, COMPARISON_SIGNS] = 0
+    return signs
+
+
 def _trials(cases: Sequence[Case], usual: Sequence[Case], seed: int) -> list[_Trial]:
     """What a verifier without second looks finds hard."""
     verifier = Verifier()
-    train_verifier(verifier, list(cases), seed)
+    train_verifier(verifier, [replace(case, signs=_without_look(case)) for case in cases], seed)
     trials = []
     for case in usual:
-        probabilities = judge(verifier, list(case.signs), case.same_stage).probabilities
+        signs = list(_without_look(case))
+        probabilities = judge(verifier, signs, case.same_stage).probabilities
         chosen = np.argsort(-probabilities, kind="stable")[:_MOST].tolist()
         if case.right < len(case.signs) and case.right not in chosen:
             chosen[-1] = case.right

@@ -145,31 +145,33 @@ class Gravity:
             alignment = aligned(source.shape, target.shape, peak, self.config)
             if not _is_known(alignment.refined.T_target_source, alignments):
                 alignments.append(alignment)
-        maps, poses = (
-            self._maps(source, target),
-            planar(np.stack([each.refined.T_target_source for each in alignments])),
-        )
+        maps = self._maps(source, target)
+        poses = planar(np.stack([each.refined.T_target_source for each in alignments]))
         parts = score_parts(*maps, *poses).tolist()
-        weight, looks = 0.0, [0.0] * len(alignments)
-        if is_wide(*maps):
-            weight = empty_weight(_same_stage(source, target))
-        else:
-            # `as_target` twice gives the features as a source again.
-            both = maps[0], as_target(maps[1])
-            looks = compared(self._networks.comparison, *both, *poses).tolist()
+        looks = self._second_looks(*maps, *poses)
+        shapes = source.shape, target.shape
+        weight = empty_weight(_same_stage(source, target)) if is_wide(*maps) else 0.0
         return tuple(
-            judged(
-                source.shape,
-                target.shape,
-                alignment,
-                each,
-                (look, look - max(looks)),
-                found,
-                self.config,
-                weight,
-            )
+            judged(*shapes, alignment, each, look, found, self.config, weight)
             for alignment, each, look in zip(alignments, parts, looks, strict=True)
         )
+
+    def _second_looks(
+        self, source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor
+    ) -> list[tuple[float, float]]:
+        """Log-odds of poses, and these less the largest; 0 for wide maps, which it does not know.
+
+        Args:
+            source: (c, n, n), as a source.
+            target: (c, m, m), as a target.
+            yaws: (k,) radians.
+            shifts: (k, 2), metres.
+        """
+        if is_wide(source, target):
+            return [(0.0, 0.0)] * len(yaws)
+        # `as_target` twice gives the features as a source again.
+        odds = compared(self._networks.comparison, source, as_target(target), yaws, shifts).tolist()
+        return [(each, each - max(odds)) for each in odds]
 
     def search(self, source: GravityFeatures, target: GravityFeatures) -> Search:
         """The best poses before any refinement."""

@@ -189,7 +189,7 @@ def judged(
         target: of the pair.
         alignment: one of the pair's.
         parts: of its score, see `score_parts`.
-        second_look: log-odds of it, see `compared`, and by how much another one has more.
+        second_look: log-odds of it, see `compared`, and these less the largest of the pair's.
         search: that it came from.
         config: settings.
         empty_weight: what the share of points in free space takes from the score of wide maps,

@@ -96,6 +96,7 @@ def fit(arguments: argparse.Namespace) -> None:
             read_items(arguments.verifier, config, arguments.workers),
             arguments.verifier_pairs,
             arguments.seed,
+            bar,
         )
         cases = looked_at(cases, networks, arguments.comparison_steps, arguments.seed, bar)
     loss = train_verifier(networks.verifier, cases, arguments.seed)
@@ -125,7 +126,7 @@ def looked_at(
     return looked
 
 
-def collect(method: Gravity, items: list[Item], count: int, seed: int) -> list[Case]:
+def collect(method: Gravity, items: list[Item], count: int, seed: int, bar: Progress) -> list[Case]:
     """Hypotheses of pairs drawn from prepared fragments, with what is right."""
 
     @lru_cache(_CACHE)
@@ -141,7 +142,7 @@ def collect(method: Gravity, items: list[Item], count: int, seed: int) -> list[C
     rng = np.random.default_rng(seed)
     examples = ExampleSource(items, seed)
     cases = []
-    for _ in range(count):
+    for _ in bar.track(range(count), description="pairs"):
         apart = bool(rng.random() < _APART_SHARE)
         example = examples.draw_apart() if apart else examples.draw()
         truth = None if apart else relative_truth(items, example.source, example.target)

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from nss_ros.geometry import Transform, relative, rotation_angle
-from nss_ros.registration.gravity.network import STRIDE
-from nss_ros.registration.gravity.raster import SIZE
 from nss_ros.registration.gravity.refinement import SIGNS, Candidate
 from nss_ros.registration.gravity.verifier import Verifier
+from nss_ros.registration.gravity.wide import is_wide
 
 _TRANSLATION, _ROTATION = 0.2, np.radians(10)
 _STEPS = 300
@@ -48,7 +47,7 @@ class Case:
     @property
     def is_usual(self) -> bool:
         """Neither of its fragments has a wide map."""
-        return all(each.shape[-1] == SIZE // STRIDE for each in self.maps)
+        return not is_wide(*self.maps)
 
 
 def case_of(

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from nss_ros.geometry import from_yaw
@@ -41,7 +42,7 @@ _FINE = YAWS // COARSE_YAWS
 _BATCH = 4
 
 
-def is_wide(source: Tensor, target: Tensor) -> bool:
+def is_wide(source: Tensor | NDArray[np.floating], target: Tensor | NDArray[np.floating]) -> bool:
     """Whether any of two features (c, n, n) is larger than usual."""
     return max(source.shape[-1], target.shape[-1]) > _USUAL
 
