@@ -54,6 +54,7 @@ class RegistrationPool:
         self._executor = self._start()
         self._waiting: deque[_Task] = deque()
         self._running: dict[Future[RelativeTransform | None], _Task] = {}
+        self._last: FragmentId | None = None
 
     def add_fragment(self, fragment: Fragment) -> Path:
         """Take a fragment in, voxelised, and have its features computed; the file that holds it."""
@@ -115,11 +116,13 @@ class RegistrationPool:
     def _fill(self) -> None:
         """Keep every worker busy, with one task more in reach; suspects run alone."""
         while self._waiting and len(self._running) <= self._workers:
-            task = self._waiting[0]
+            number = self._next()
+            task = self._waiting[number]
             suspect = task.attempts > 0 or any(t.attempts for t in self._running.values())
             if suspect and self._running:
                 return
-            self._waiting.popleft()
+            del self._waiting[number]
+            self._last = task.pair.source if task.pair else self._last
             try:
                 future = self._executor.submit(_run, task.fragment, task.pair)
             except BrokenProcessPool:
@@ -127,6 +130,22 @@ class RegistrationPool:
                 self._executor = self._start()
                 continue
             self._running[future] = task
+
+    def _next(self) -> int:
+        """The first task, but a pair whose source is that of the last one goes first.
+
+        Methods keep what they made of it.
+        """
+        if self._waiting[0].attempts:
+            return 0
+        return next(
+            (
+                number
+                for number, task in enumerate(self._waiting)
+                if task.pair is not None and task.pair.source == self._last
+            ),
+            0,
+        )
 
     def _recover(self) -> list[RelativeTransform]:
         """After a worker died: run what was running once more, one by one, then give up on it."""

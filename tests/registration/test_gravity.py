@@ -9,7 +9,7 @@ from nss_ros.config import RegistrationConfig
 from nss_ros.errors import MethodError
 from nss_ros.fragment import Fragment, FragmentId
 from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
-from nss_ros.registration.gravity.method import hypothesis_spread
+from nss_ros.registration.gravity.method import Gravity, hypothesis_spread
 from nss_ros.registration.gravity.weights import load_weights
 from nss_ros.registration.method import load_method
 from nss_ros.registration.relative_transform import Reason
@@ -59,6 +59,17 @@ def test_the_answer_is_the_same_bytes_and_survives_pickling(method, scans):
     again = method.register(*pickle.loads(pickle.dumps(features)), 1)
     assert first.T_target_source.tobytes() == again.T_target_source.tobytes()
     assert first.confidence == again.confidence
+
+
+def test_what_was_registered_before_changes_nothing(method, scans):
+    """Part of what is made of a source is kept for its next target."""
+    later = moved(scans[1], from_yaw(1.0, (0.2, 0.1, 0)), stage=2)
+    features = [method.prepare(each) for each in (*scans[:2], later)]
+    for first, second in ((0, 1), (0, 2), (1, 2), (0, 2), (2, 0), (0, 1)):
+        known = method.register(features[first], features[second], 0)
+        fresh = Gravity(method.config).register(features[first], features[second], 0)
+        assert known.T_target_source.tobytes() == fresh.T_target_source.tobytes()
+        assert known.confidence == fresh.confidence
 
 
 def test_hypotheses_that_slide_make_the_covariance_long_along_the_corridor():

@@ -12,7 +12,15 @@ from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment
 from nss_ros.geometry import from_yaw, transform_points
 from nss_ros.registration.gravity.coarse import shift_of_middles
-from nss_ros.registration.gravity.correlation import STEP
+from nss_ros.registration.gravity.correlation import (
+    STEP,
+    correlate,
+    correlate_turned,
+    rotated,
+    spectrum,
+    turned_spectra,
+    yaw_angles,
+)
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.raster import (
     CELL,
@@ -89,15 +97,24 @@ def test_a_moved_copy_is_found_where_it_was_moved(scans, network, yaw, x, y):
     still = as_target(features(network, turned.maps)).roll(
         (round(y / 0.2), round(x / 0.2)), (-2, -1)
     )
-    best = search(features(network, source.maps), still, 3).peaks[0]
+    best = search(turned_spectra(features(network, source.maps)), still, 3).peaks[0]
     assert abs((best.yaw - yaw + math.pi) % (2 * math.pi) - math.pi) < math.radians(4)
     assert best.x == pytest.approx(round(x / 0.2) * 0.2, abs=0.21)
     assert best.y == pytest.approx(round(y / 0.2) * 0.2, abs=0.21)
 
 
+def test_half_a_turn_tells_the_scores_of_all_of_it(scans, network):
+    source, target = (features(network, scan(each).maps) for each in scans[:2])
+    still = spectrum(as_target(target))
+    direct = correlate(spectrum(rotated(source, yaw_angles())), still)
+    scores = correlate_turned(turned_spectra(source), still, source.shape[-1])
+    assert scores.shape == direct.shape
+    assert torch.allclose(scores, direct, atol=1e-4 * float(direct.abs().max()))
+
+
 def test_peaks_differ_and_their_probability_is_at_most_one(scans, network):
     maps = features(network, scan(scans[0]).maps)
-    found = search(maps, as_target(maps), 10)
+    found = search(turned_spectra(maps), as_target(maps), 10)
     assert len(found.peaks) == 10
     assert sum(math.exp(peak.mass) for peak in found.peaks) <= 1 + 1e-4
     assert [peak.score for peak in found.peaks] == sorted(
@@ -116,7 +133,7 @@ def test_augmentation_moves_truth_and_maps_alike(scans, network, seed):
         items, Example(0, 1, True, 1.0), Planar.of(truth), np.random.default_rng(seed)
     )
     best = search(
-        features(network, trial.source.numpy()),
+        turned_spectra(features(network, trial.source.numpy())),
         as_target(features(network, trial.target.numpy())),
         1,
     ).peaks[0]

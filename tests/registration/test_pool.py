@@ -82,3 +82,22 @@ def test_a_pair_that_kills_its_workers_is_given_up_and_the_others_are_answered(l
         return Reason.WORKER_DIED if pair.source.spot == 2 else Reason.NONE
 
     assert {pair: a.reason for pair, a in answers.items()} == {p: expected(p) for p in room.pairs}
+
+
+def test_pairs_of_one_source_follow_each_other(lethal, room):
+    """Whatever their order, since a method may keep what it made of the last source."""
+    one, other, *rest = [each for each in room.fragments if each.id.spot != 2]
+    pairs = [FragmentPair(source.id, each.id) for each in rest for source in (one, other)]
+    assert len(pairs) == 4
+    pool = RegistrationPool(lethal, workers=1)
+    try:
+        for fragment in room.fragments:
+            pool.add_fragment(fragment)
+        for pair in pairs:
+            pool.submit(pair)
+        answers = []
+        while len(answers) < len(pairs):
+            answers.extend(pool.poll(0.1))
+    finally:
+        pool.close()
+    assert [each.pair for each in answers] == [*pairs[0::2], *pairs[1::2]]

@@ -17,6 +17,7 @@ YAWS = 120
 STEP = CELL * STRIDE
 #: Shifts along each axis: fragments that overlap at all are less than half of this apart.
 SHIFTS = SIZE // STRIDE * 2
+_BATCH = 24
 
 
 def rotated(
@@ -79,6 +80,43 @@ def correlate(turned: Tensor, target: Tensor, shifts: int = SHIFTS) -> Tensor:
         product = product + moving.conj() * still
     scores: Tensor = torch.fft.irfft2(product, s=(shifts, shifts))
     return scores
+
+
+def turned_spectra(source: Tensor) -> Tensor:
+    """Spectra of source features (c, n, n) at the yaw angles of half a turn.
+
+    They are most of the work of a search, and the same for all targets of a source.
+
+    Returns:
+        (YAWS / 2, c, SHIFTS, SHIFTS / 2 + 1) complex64; see `correlate_turned` for the other half.
+    """
+    angles = torch.split(yaw_angles()[: YAWS // 2], _BATCH)
+    return torch.cat([spectrum(rotated(source, part)) for part in angles])
+
+
+def correlate_turned(turned: Tensor, target: Tensor, cells: int) -> Tensor:
+    """Scores (YAWS, SHIFTS, SHIFTS) of all poses of the grid.
+
+    Turned by another half turn, maps are those of `turned` read backwards and their normals point
+    the other way, so that the spectrum is the conjugate one but for signs and a phase.
+
+    Args:
+        turned: see `turned_spectra`.
+        target: spectrum (c, ...) of the target.
+        cells: along each side of the source, n.
+    """
+    rows = torch.fft.fftfreq(SHIFTS)[:, None]
+    columns = torch.fft.rfftfreq(SHIFTS)
+    phase = torch.polar(torch.ones(()), 2 * math.pi * (cells - 1) * (rows + columns))
+    opposite = target * phase
+    opposite[VECTORS] *= -1
+    parts = torch.split(turned, _BATCH)
+    return torch.cat(
+        [
+            *(correlate(part, target) for part in parts),
+            *(correlate(part.conj(), opposite) for part in parts),
+        ]
+    )
 
 
 def score_parts(source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -30,7 +31,7 @@ from nss_ros.geometry import (
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
 from nss_ros.registration.gravity.comparison import compared
-from nss_ros.registration.gravity.correlation import planar, score_parts
+from nss_ros.registration.gravity.correlation import planar, score_parts, turned_spectra
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.raster import Raster
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
@@ -81,6 +82,14 @@ class GravityFeatures:
     generic: FpfhFeatures | None
 
 
+class _Turned(NamedTuple):
+    """Features of a fragment, the number of those for a kind of pair, and their spectra."""
+
+    maps: NDArray[np.float32]
+    kind: int
+    spectra: Tensor
+
+
 class Gravity:
     """Exhaustive registration of levelled fragments."""
 
@@ -92,6 +101,7 @@ class Gravity:
         self.config = config
         self._generic = FpfhRansac(config)
         self._networks = networks or load_weights(config.gravity.weights)
+        self._turned: _Turned | None = None
 
     def prepare(self, fragment: Fragment) -> GravityFeatures:
         """Points, maps and features of a fragment."""
@@ -177,11 +187,23 @@ class Gravity:
         """The best poses before any refinement."""
         maps, count = self._maps(source, target), self.config.gravity.hypotheses
         if not is_wide(*maps):
-            return search(*maps, count)
+            return search(self._turned_spectra(source, target), maps[1], count)
         assert source.shape is not None
         assert target.shape is not None
         same_stage = _same_stage(source, target)
         return weighed(wide_search(*maps), source.shape, target.shape, same_stage, count)
+
+    def _turned_spectra(self, source: GravityFeatures, target: GravityFeatures) -> Tensor:
+        """Spectra of the source; those of the last one are kept, for its next target."""
+        maps, kind = source.maps, int(_same_stage(source, target))
+        assert maps is not None
+        last = self._turned
+        if last is None or last.maps is not maps or last.kind != kind:
+            self._turned = None  # two at once would be 200 MB
+            with torch.inference_mode():
+                last = _Turned(maps, kind, turned_spectra(torch.from_numpy(maps[kind])))
+            self._turned = last
+        return last.spectra
 
     def _maps(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Tensor, Tensor]:
         """Features of the one as a source and of the other as a target."""

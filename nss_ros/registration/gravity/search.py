@@ -12,16 +12,13 @@ from torch import Tensor
 
 from nss_ros.registration.gravity.correlation import (
     YAWS,
-    correlate,
-    rotated,
+    correlate_turned,
     shift_of,
     spectrum,
-    yaw_angles,
 )
 
 # Poses closer than this to a better one are the same hypothesis, in cells of the grid.
 _APART_YAWS, _APART_CELLS = 3, 2
-_BATCH = 24
 _PEAKS = 4000
 # Weights stay finite, however large scores are.
 _MOST_BETTER = 500.0
@@ -60,23 +57,16 @@ class Search:
     evidence: float
 
 
-def search(source: Tensor, target: Tensor, count: int) -> Search:
+def search(turned: Tensor, target: Tensor, count: int) -> Search:
     """The `count` best poses of a source's features on a target's.
 
     Args:
-        source: (c, h, w) float32, as a source.
-        target: (c, h, w) float32, as a target.
+        turned: spectra of the source, see `turned_spectra`.
+        target: (c, n, n) float32, as a target; the source's maps are as large.
         count: most peaks.
     """
     with torch.inference_mode():
-        spectra = spectrum(target)
-        angles = yaw_angles()
-        scores = torch.cat(
-            [
-                correlate(spectrum(rotated(source, part)), spectra)
-                for part in torch.split(angles, _BATCH)
-            ]
-        )
+        scores = correlate_turned(turned, spectrum(target), target.shape[-1])
         places = best_places(scores, count)
         total = float(scores.flatten().logsumexp(dim=0))
     peaks = tuple(
