@@ -1,19 +1,17 @@
-"""The second look of the gravity method at aligned poses."""
+"""The second look of the gravity method at poses."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from nss_ros.geometry import from_yaw, inverse
-from nss_ros.registration.gravity.comparison import Comparison, compared
-from nss_ros.registration.gravity.comparison_training import train_comparison, with_looks
+from nss_ros.registration.gravity.comparison import Comparison, compared, swapped
+from nss_ros.registration.gravity.comparison_training import PosedPair, train_comparison
 from nss_ros.registration.gravity.correlation import planar, rotated
 from nss_ros.registration.gravity.network import CHANNELS
-from nss_ros.registration.gravity.refinement import COMPARISON_SIGNS, SIGNS
-from nss_ros.registration.gravity.verifier_training import Case
+from nss_ros.registration.gravity.search import Peak
 
 CELLS = 48
 
@@ -42,14 +40,17 @@ def transforms(rng, count):
     )
 
 
-def case(rng):
-    """The source is the target as it is seen from elsewhere; the first pose tells from where."""
+def peak(transform):
+    yaw = math.atan2(transform[1, 0], transform[0, 0])
+    return Peak(yaw, transform[0, 3], transform[1, 3], 0.0, 0.0)
+
+
+def pair(rng):
+    """The source is the target as it is seen from elsewhere; the third pose tells from where."""
     poses, target = transforms(rng, 4), features(rng)
-    source = rotated(target, *planar(np.array([inverse(poses[0])])))[0]
+    source = rotated(target, *planar(inverse(poses[2])[None]))[0]
     maps = (source.half().numpy(), target.half().numpy())
-    signs = rng.normal(size=(4, len(SIGNS)))
-    signs[:, COMPARISON_SIGNS] = 0
-    return Case(signs, 0, True, True, poses, maps)
+    return PosedPair.of(maps, [peak(each) for each in poses], poses[2])
 
 
 def test_both_fragments_may_be_the_source():
@@ -64,37 +65,51 @@ def test_both_fragments_may_be_the_source():
     assert forth.std() > 0
 
 
+def test_swapped_poses_are_inverse():
+    poses = transforms(np.random.default_rng(5), 20)
+    expected = planar(np.array([inverse(each) for each in poses]))
+    for one, other in zip(swapped(*planar(poses)), expected, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-4)
+
+
 def test_training_tells_poses_that_it_was_not_shown():
     rng = np.random.default_rng(2)
-    shown, others = [case(rng) for _ in range(24)], [case(rng) for _ in range(24)]
+    shown, others = [pair(rng) for _ in range(24)], [pair(rng) for _ in range(24)]
     comparison = Comparison()
     losses = [loss for _, loss in train_comparison(comparison, shown, 60, 0)]
     assert np.mean(losses[-10:]) < np.mean(losses[:10])
-    looks = np.array(
-        [each.signs[:, COMPARISON_SIGNS[0]] for each in with_looks(others, comparison)]
-    )
+    hits = []
+    for each in others:
+        source, target = (torch.from_numpy(maps).float() for maps in each.maps)
+        poses = torch.from_numpy(each.poses)
+        looks = compared(comparison, source, target, poses[:, 0], poses[:, 1:3])
+        hits.append(int(looks.argmax()) == 2)
     # A quarter of them by chance.
-    assert (looks.argmax(axis=1) == 0).mean() > 0.6
+    assert np.mean(hits) > 0.6
 
 
-def test_looks_are_signs_and_the_best_has_no_margin():
-    rng = np.random.default_rng(3)
-    cases = [case(rng) for _ in range(2)]
-    for before, after in zip(cases, with_looks(cases, Comparison().eval()), strict=True):
-        look, margin = after.signs[:, COMPARISON_SIGNS].T
-        assert margin == pytest.approx(look - look.max())
-        assert margin.max() == 0
-        rest = np.setdiff1d(np.arange(len(SIGNS)), COMPARISON_SIGNS)
-        assert np.array_equal(before.signs[:, rest], after.signs[:, rest])
+def test_poses_are_right_wrong_or_neither():
+    truth = from_yaw(3.1, (1.0, -2.0, 0.7))
+    off = [(0.05, 0.1), (0.1, 0.0), (0.0, 0.3), (0.0, 0.6), (0.3, 0.0), (math.pi, 0.0)]
+    poses = [from_yaw(3.1 + yaw, (1.0, -2.0 + y, 0.0)) for yaw, y in off]
+    maps = (np.zeros((CHANNELS, 2, 2), dtype=np.float16),) * 2
+    found = PosedPair.of(maps, [peak(each) for each in poses], truth)
+    assert found.right.tolist() == [True, False, False, False, False, False]
+    assert found.wrong.tolist() == [False, False, False, True, True, True]
+    assert found.is_clear
+    assert not PosedPair.of(maps, [peak(each) for each in poses[1:]], truth).is_clear
+    apart = PosedPair.of(maps, [peak(each) for each in poses], None)
+    assert apart.wrong.all()
+    assert apart.is_clear
 
 
-def test_pairs_with_wide_maps_are_not_looked_at():
-    rng = np.random.default_rng(4)
-    usual = case(rng)
-    maps = usual.maps[0], np.zeros((CHANNELS, 120, 120), dtype=np.float16)
-    wide = replace(usual, maps=maps)
-    comparison = Comparison().eval()
-    before = [each.clone() for each in comparison.parameters()]
-    assert not list(train_comparison(comparison, [wide], 3, 0))
-    assert all(torch.equal(*each) for each in zip(before, comparison.parameters(), strict=True))
-    assert with_looks([wide], comparison)[0] is wide
+def test_a_pair_with_nothing_wrong_or_nothing_right_is_trained_on():
+    rng = np.random.default_rng(6)
+    one, other = pair(rng), pair(rng)
+    poses = [peak(each) for each in transforms(rng, 3)]
+    apart = PosedPair.of(other.maps, poses, None)
+    truth = from_yaw(0.2, (0.5, 0.0, 0.0))
+    right = PosedPair.of(one.maps, [peak(truth)], truth)
+    steps = list(train_comparison(Comparison(), [apart, right], 3, 0))
+    assert [number for number, _ in steps] == [0, 1, 2]
+    assert np.isfinite([loss for _, loss in steps]).all()

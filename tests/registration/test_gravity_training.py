@@ -23,19 +23,23 @@ areas:
   "2": {procedural: {width: 14, depth: 11, stages: 2, use: residential}}
 """
 
-FEW = ("--verifier-pairs", 4, "--comparison-steps", 2, "--workers", 1)
+FEW = (
+    *("--verifier-pairs", 4),
+    *("--comparison-pairs", 4, "--comparison-steps", 2),
+    *("--workers", 1),
+)
 
 
 @pytest.fixture(scope="module")
 def datasets(tmp_path_factory):
     folder = tmp_path_factory.mktemp("training")
     (folder / "site.yaml").write_text(_SITE)
-    for seed in (1, 2):
+    for seed in (1, 2, 3):
         command = ["simulate", str(folder / "site.yaml"), "-o", str(folder / f"{seed}")]
         options = ["--seed", str(seed), "--spots-per-stage", "3", "--no-labels", "--workers", "1"]
         result = CliRunner().invoke(app, command + options)
         assert result.exit_code == 0, result.output
-    return [folder / "1", folder / "2"]
+    return [folder / str(seed) for seed in (1, 2, 3)]
 
 
 def train(monkeypatch, *arguments):
@@ -44,8 +48,8 @@ def train(monkeypatch, *arguments):
 
 
 def of(datasets):
-    """The one for the network, the other for the verifier."""
-    return datasets[0], "--verifier", datasets[1]
+    """One for the network, one for the second look, one for the verifier."""
+    return datasets[0], "--comparison", datasets[1], "--verifier", datasets[2]
 
 
 def test_training_gives_weights_that_are_reproducible_and_usable(monkeypatch, tmp_path, datasets):
@@ -82,19 +86,22 @@ def test_datasets_without_fragments_that_overlap_not_are_told(datasets):
         ExampleSource(together, 0).draw_apart()
 
 
-def test_the_verifier_needs_a_dataset_of_its_own(monkeypatch, tmp_path, datasets, capsys):
+def test_each_network_needs_datasets_of_its_own(monkeypatch, tmp_path, datasets, capsys):
     output = ("-o", tmp_path / "weights.safetensors")
     with pytest.raises(SystemExit):
         train(monkeypatch, datasets[0], *output)
-    assert "--verifier" in capsys.readouterr().err
+    assert "--verifier, --comparison" in capsys.readouterr().err
     same = datasets[0] / ".." / datasets[0].name
-    with pytest.raises(SystemExit):
-        train(monkeypatch, *datasets, "--verifier", same, *output)
-    assert f"must not learn from what the network did: {datasets[0]}" in capsys.readouterr().err
+    for groups in (
+        (datasets[0], "--comparison", datasets[1], "--verifier", same),
+        (datasets[0], "--comparison", same, "--verifier", datasets[1]),
+        (datasets[1], "--comparison", datasets[0], "--verifier", same),
+    ):
+        with pytest.raises(SystemExit):
+            train(monkeypatch, *groups, *output)
+        assert f"must not learn from the same dataset: {datasets[0]}" in capsys.readouterr().err
 
 
 def test_a_folder_that_is_no_dataset_is_one_sentence(monkeypatch, tmp_path, datasets):
     with pytest.raises(SystemExit, match="error: "):
-        train(
-            monkeypatch, tmp_path, "--verifier", datasets[0], "-o", tmp_path / "weights.safetensors"
-        )
+        train(monkeypatch, tmp_path, *of(datasets)[1:], "-o", tmp_path / "weights.safetensors")

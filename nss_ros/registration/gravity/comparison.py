@@ -84,12 +84,17 @@ def compared(
         return torch.cat(looks)
 
 
+def swapped(yaws: Tensor, shifts: Tensor) -> tuple[Tensor, Tensor]:
+    """Yaws (k,) and shifts (k, 2) of the inverse transforms."""
+    cosines, sines = yaws.cos(), yaws.sin()
+    x, y = shifts.unbind(dim=1)
+    return -yaws, torch.stack((-cosines * x - sines * y, sines * x - cosines * y), dim=1)
+
+
 def _compared(
     comparison: Comparison, source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor
 ) -> Tensor:
-    cosines, sines = yaws.cos(), yaws.sin()
-    x, y = shifts.unbind(dim=1)
-    back = torch.stack((-cosines * x - sines * y, sines * x - cosines * y), dim=1)
     forth = comparison(rotated(source, yaws, shifts), as_target(target))
-    mean: Tensor = (forth + comparison(rotated(target, -yaws, back), as_target(source))) / 2
+    back = comparison(rotated(target, *swapped(yaws, shifts)), as_target(source))
+    mean: Tensor = (forth + back) / 2
     return mean

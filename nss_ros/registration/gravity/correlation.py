@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -82,19 +83,20 @@ def correlate(turned: Tensor, target: Tensor, shifts: int = SHIFTS) -> Tensor:
     return scores
 
 
-def turned_spectra(source: Tensor) -> Tensor:
+def turned_spectra(source: Tensor) -> tuple[Tensor, ...]:
     """Spectra of source features (c, n, n) at the yaw angles of half a turn.
 
     They are most of the work of a search, and the same for all targets of a source.
 
     Returns:
-        (YAWS / 2, c, SHIFTS, SHIFTS / 2 + 1) complex64; see `correlate_turned` for the other half.
+        Parts of (YAWS / 2, c, SHIFTS, SHIFTS / 2 + 1) complex64, 80 MB; see `correlate_turned` for
+        the other half.
     """
     angles = torch.split(yaw_angles()[: YAWS // 2], _BATCH)
-    return torch.cat([spectrum(rotated(source, part)) for part in angles])
+    return tuple(spectrum(rotated(source, part)) for part in angles)
 
 
-def correlate_turned(turned: Tensor, target: Tensor, cells: int) -> Tensor:
+def correlate_turned(turned: Sequence[Tensor], target: Tensor, cells: int) -> Tensor:
     """Scores (YAWS, SHIFTS, SHIFTS) of all poses of the grid.
 
     Turned by another half turn, maps are those of `turned` read backwards and their normals point
@@ -110,11 +112,10 @@ def correlate_turned(turned: Tensor, target: Tensor, cells: int) -> Tensor:
     phase = torch.polar(torch.ones(()), 2 * math.pi * (cells - 1) * (rows + columns))
     opposite = target * phase
     opposite[VECTORS] *= -1
-    parts = torch.split(turned, _BATCH)
     return torch.cat(
         [
-            *(correlate(part, target) for part in parts),
-            *(correlate(part.conj(), opposite) for part in parts),
+            *(correlate(part, target) for part in turned),
+            *(correlate(part.conj(), opposite) for part in turned),
         ]
     )
 

@@ -87,7 +87,7 @@ class _Turned(NamedTuple):
 
     maps: NDArray[np.float32]
     kind: int
-    spectra: Tensor
+    spectra: tuple[Tensor, ...]
 
 
 class Gravity:
@@ -147,7 +147,7 @@ class Gravity:
         """Aligned hypotheses of two levelled fragments, in the order of the search."""
         assert source.shape is not None
         assert target.shape is not None
-        found = self.search(source, target)
+        found = self.search(source, target, self.config.gravity.hypotheses)
         alignments: list[Alignment] = []
         for peak in found.peaks:
             if peak.score < found.peaks[0].score - _MOST_MARGIN:
@@ -183,9 +183,9 @@ class Gravity:
         odds = compared(self._networks.comparison, source, as_target(target), yaws, shifts).tolist()
         return [(each, each - max(odds)) for each in odds]
 
-    def search(self, source: GravityFeatures, target: GravityFeatures) -> Search:
-        """The best poses before any refinement."""
-        maps, count = self._maps(source, target), self.config.gravity.hypotheses
+    def search(self, source: GravityFeatures, target: GravityFeatures, count: int) -> Search:
+        """The `count` best poses before any refinement."""
+        maps = self._maps(source, target)
         if not is_wide(*maps):
             return search(self._turned_spectra(source, target), maps[1], count)
         assert source.shape is not None
@@ -193,7 +193,9 @@ class Gravity:
         same_stage = _same_stage(source, target)
         return weighed(wide_search(*maps), source.shape, target.shape, same_stage, count)
 
-    def _turned_spectra(self, source: GravityFeatures, target: GravityFeatures) -> Tensor:
+    def _turned_spectra(
+        self, source: GravityFeatures, target: GravityFeatures
+    ) -> tuple[Tensor, ...]:
         """Spectra of the source; those of the last one are kept, for its next target."""
         maps, kind = source.maps, int(_same_stage(source, target))
         assert maps is not None

@@ -59,8 +59,6 @@ SIGNS = (
     "comparison",
     "comparison_margin",
 )
-#: Signs that the second look gives; 0 for wide maps, which it does not know.
-COMPARISON_SIGNS = (SIGNS.index("comparison"), SIGNS.index("comparison_margin"))
 
 
 @dataclass(frozen=True, slots=True)

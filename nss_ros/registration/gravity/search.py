@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,7 +58,7 @@ class Search:
     evidence: float
 
 
-def search(turned: Tensor, target: Tensor, count: int) -> Search:
+def search(turned: Sequence[Tensor], target: Tensor, count: int) -> Search:
     """The `count` best poses of a source's features on a target's.
 
     Args:

@@ -15,7 +15,6 @@ from torch import Tensor
 from nss_ros.geometry import Transform, relative, rotation_angle
 from nss_ros.registration.gravity.refinement import SIGNS, Candidate
 from nss_ros.registration.gravity.verifier import Verifier
-from nss_ros.registration.gravity.wide import is_wide
 
 _TRANSLATION, _ROTATION = 0.2, np.radians(10)
 _STEPS = 300
@@ -32,36 +31,21 @@ class Case:
         right: index of the hypothesis that is right; k when none is.
         same_stage: the fragments are of one stage.
         overlaps: they overlap.
-        transforms: (k, 4, 4) float64, each `T_target_source`.
-        maps: (CHANNELS, n, n) and (CHANNELS, m, m) float16, features of source and target, both as
-            a source.
     """
 
     signs: NDArray[np.float64]
     right: int
     same_stage: bool
     overlaps: bool
-    transforms: NDArray[np.float64]
-    maps: tuple[NDArray[np.float16], NDArray[np.float16]]
-
-    @property
-    def is_usual(self) -> bool:
-        """Neither of its fragments has a wide map."""
-        return not is_wide(*self.maps)
 
 
-def case_of(
-    candidates: tuple[Candidate, ...],
-    truth: Transform | None,
-    same_stage: bool,
-    maps: tuple[NDArray[np.float16], NDArray[np.float16]],
-) -> Case:
+def case_of(candidates: tuple[Candidate, ...], truth: Transform | None, same_stage: bool) -> Case:
     """The case of aligned hypotheses; `truth` is None for fragments that do not overlap."""
     transforms = [each.refined.T_target_source for each in candidates]
     right = [n for n, each in enumerate(transforms) if truth is not None and is_right(each, truth)]
     signs = np.stack([each.signs for each in candidates])
     number = right[0] if right else len(candidates)
-    return Case(signs, number, same_stage, truth is not None, np.stack(transforms), maps)
+    return Case(signs, number, same_stage, truth is not None)
 
 
 def is_right(estimate: Transform, truth: Transform) -> bool:
