@@ -258,6 +258,7 @@ def test_components_are_shown_in_frames_of_their_own(graph):
     assert clouds[-1].header.frame_id == "map_1"
     distances, _ = cKDTree(points_from(clouds[-1])).query(expected)
     assert np.quantile(distances, 0.99) < 1e-3
+    graph.wait(lambda: whole)
     assert whole[-1].header.frame_id == "map"
 
     def spots():
