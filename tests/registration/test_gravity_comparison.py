@@ -113,3 +113,10 @@ def test_a_pair_with_nothing_wrong_or_nothing_right_is_trained_on():
     steps = list(train_comparison(Comparison(), [apart, right], 3, 0))
     assert [number for number, _ in steps] == [0, 1, 2]
     assert np.isfinite([loss for _, loss in steps]).all()
+
+
+def test_without_usual_maps_there_is_nothing_to_train():
+    comparison = Comparison().eval()
+    before = [each.clone() for each in comparison.parameters()]
+    assert not list(train_comparison(comparison, [], 3, 0))
+    assert all(torch.equal(*each) for each in zip(before, comparison.parameters(), strict=True))

@@ -85,10 +85,12 @@ class PosedPair:
 def train_comparison(
     comparison: Comparison, pairs: Sequence[PosedPair], steps: int, seed: int
 ) -> Iterator[tuple[int, float]]:
-    """Trains the second look in place; yields step and loss."""
+    """Trains the second look in place; yields step and loss. Without pairs it stays as it is."""
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     clear = [pair for pair in pairs if pair.is_clear]
+    if not clear:
+        return
     _set_scales(comparison, clear[:_SCALE_PAIRS])
     none = torch.nn.Parameter(torch.zeros(()))
     optimizer = torch.optim.AdamW(
