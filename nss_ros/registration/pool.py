@@ -54,7 +54,7 @@ class RegistrationPool:
         self._executor = self._start()
         self._waiting: deque[_Task] = deque()
         self._running: dict[Future[RelativeTransform | None], _Task] = {}
-        self._last: FragmentId | None = None
+        self._last_source: FragmentId | None = None
 
     def add_fragment(self, fragment: Fragment) -> Path:
         """Take a fragment in, voxelised, and have its features computed; the file that holds it."""
@@ -122,7 +122,8 @@ class RegistrationPool:
             if suspect and self._running:
                 return
             del self._waiting[number]
-            self._last = task.pair.source if task.pair else self._last
+            if task.pair is not None:
+                self._last_source = task.pair.source
             try:
                 future = self._executor.submit(_run, task.fragment, task.pair)
             except BrokenProcessPool:
@@ -142,7 +143,7 @@ class RegistrationPool:
             (
                 number
                 for number, task in enumerate(self._waiting)
-                if task.pair is not None and task.pair.source == self._last
+                if task.pair is not None and task.pair.source == self._last_source
             ),
             0,
         )

@@ -10,6 +10,7 @@ from nss_ros.errors import MethodError
 from nss_ros.fragment import Fragment, FragmentId
 from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
 from nss_ros.registration.gravity.method import Gravity, hypothesis_spread
+from nss_ros.registration.gravity.refinement import SIGNS
 from nss_ros.registration.gravity.weights import load_weights
 from nss_ros.registration.method import load_method
 from nss_ros.registration.relative_transform import Reason
@@ -59,6 +60,17 @@ def test_the_answer_is_the_same_bytes_and_survives_pickling(method, scans):
     again = method.register(*pickle.loads(pickle.dumps(features)), 1)
     assert first.T_target_source.tobytes() == again.T_target_source.tobytes()
     assert first.confidence == again.confidence
+
+
+@pytest.mark.parametrize("stage", [1, 2])
+def test_the_second_look_gives_two_signs_and_the_best_has_no_margin(method, scans, stage):
+    target = moved(scans[1], from_yaw(1.0, (0.2, 0.1, 0)), stage)
+    found = method.candidates(method.prepare(scans[0]), method.prepare(target))
+    signs = np.stack([each.signs for each in found])
+    look, margin = signs[:, SIGNS.index("comparison")], signs[:, SIGNS.index("comparison_margin")]
+    assert len(found) > 1
+    assert look.std() > 0
+    assert margin == pytest.approx(look - look.max())
 
 
 def test_what_was_registered_before_changes_nothing(method, scans):

@@ -105,9 +105,9 @@ def test_a_moved_copy_is_found_where_it_was_moved(scans, network, yaw, x, y):
 
 def test_half_a_turn_tells_the_scores_of_all_of_it(scans, network):
     source, target = (features(network, scan(each).maps) for each in scans[:2])
-    still = spectrum(as_target(target))
-    direct = correlate(spectrum(rotated(source, yaw_angles())), still)
-    scores = correlate_turned(turned_spectra(source), still, source.shape[-1])
+    still = as_target(target)
+    direct = correlate(spectrum(rotated(source, yaw_angles())), spectrum(still))
+    scores = correlate_turned(turned_spectra(source), still)
     assert scores.shape == direct.shape
     assert torch.allclose(scores, direct, atol=1e-4 * float(direct.abs().max()))
 

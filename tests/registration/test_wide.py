@@ -18,6 +18,7 @@ from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_sea
 from nss_ros.registration.gravity.correlation import turned_spectra
 from nss_ros.registration.gravity.network import CHANNELS, as_target
 from nss_ros.registration.gravity.raster import SIZE
+from nss_ros.registration.gravity.refinement import SIGNS
 from nss_ros.registration.gravity.scan import WIDE_SIZE, is_wide_scan, scan_of, wide_scan_of
 from nss_ros.registration.gravity.search import Peak, Search, search
 from nss_ros.registration.gravity.wide import is_wide, weighed, wide_search
@@ -95,6 +96,12 @@ def test_they_are_registered_and_known_to_be_right(method, site, features, sourc
     assert answer.confidence > least
     total = answer.confidence + sum(each.probability for each in answer.alternatives)
     assert total <= 1 + 1e-6
+
+
+def test_they_have_no_second_look(method, features):
+    found = method.candidates(features[ONE], features[LATER])
+    numbers = [SIGNS.index(name) for name in ("comparison", "comparison_margin")]
+    assert not np.stack([each.signs for each in found])[:, numbers].any()
 
 
 def test_of_two_buildings_the_confidence_is_lower(method, features):

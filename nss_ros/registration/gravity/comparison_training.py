@@ -39,8 +39,6 @@ _LEARNING_RATE, _WEIGHT_DECAY = 1.5e-3, 0.02
 _STILL, _QUARTERS = 0.4, 0.3
 _SCALE_PAIRS = 200
 
-Floats = NDArray[np.float32]
-
 
 @dataclass(frozen=True, slots=True)
 class PosedPair:
@@ -54,7 +52,7 @@ class PosedPair:
     """
 
     maps: tuple[NDArray[np.float16], NDArray[np.float16]]
-    poses: Floats
+    poses: NDArray[np.float32]
     right: NDArray[np.bool_]
     wrong: NDArray[np.bool_]
 

@@ -89,14 +89,14 @@ def turned_spectra(source: Tensor) -> tuple[Tensor, ...]:
     They are most of the work of a search, and the same for all targets of a source.
 
     Returns:
-        Parts of (YAWS / 2, c, SHIFTS, SHIFTS / 2 + 1) complex64, 80 MB; see `correlate_turned` for
+        Parts of (YAWS / 2, c, SHIFTS, SHIFTS / 2 + 1) complex64, 86 MB; see `correlate_turned` for
         the other half.
     """
     angles = torch.split(yaw_angles()[: YAWS // 2], _BATCH)
     return tuple(spectrum(rotated(source, part)) for part in angles)
 
 
-def correlate_turned(turned: Sequence[Tensor], target: Tensor, cells: int) -> Tensor:
+def correlate_turned(turned: Sequence[Tensor], target: Tensor) -> Tensor:
     """Scores (YAWS, SHIFTS, SHIFTS) of all poses of the grid.
 
     Turned by another half turn, maps are those of `turned` read backwards and their normals point
@@ -104,17 +104,17 @@ def correlate_turned(turned: Sequence[Tensor], target: Tensor, cells: int) -> Te
 
     Args:
         turned: see `turned_spectra`.
-        target: spectrum (c, ...) of the target.
-        cells: along each side of the source, n.
+        target: features (c, n, n), as a target; the source's maps are as large.
     """
+    still = spectrum(target)
     rows = torch.fft.fftfreq(SHIFTS)[:, None]
     columns = torch.fft.rfftfreq(SHIFTS)
-    phase = torch.polar(torch.ones(()), 2 * math.pi * (cells - 1) * (rows + columns))
-    opposite = target * phase
+    phase = torch.polar(torch.ones(()), 2 * math.pi * (target.shape[-1] - 1) * (rows + columns))
+    opposite = still * phase
     opposite[VECTORS] *= -1
     return torch.cat(
         [
-            *(correlate(part, target) for part in turned),
+            *(correlate(part, still) for part in turned),
             *(correlate(part.conj(), opposite) for part in turned),
         ]
     )

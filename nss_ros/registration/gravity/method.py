@@ -89,6 +89,10 @@ class _Turned(NamedTuple):
     kind: int
     spectra: tuple[Tensor, ...]
 
+    def is_of(self, maps: NDArray[np.float32], kind: int) -> bool:
+        """They are of these very features; which are held, so that no others are in their place."""
+        return self.maps is maps and self.kind == kind
+
 
 class Gravity:
     """Exhaustive registration of levelled fragments."""
@@ -199,13 +203,12 @@ class Gravity:
         """Spectra of the source; those of the last one are kept, for its next target."""
         maps, kind = source.maps, int(_same_stage(source, target))
         assert maps is not None
-        last = self._turned
-        if last is None or last.maps is not maps or last.kind != kind:
-            self._turned = None  # two at once would be 200 MB
+        if self._turned is None or not self._turned.is_of(maps, kind):
+            self._turned = None  # two at once would be 172 MB
             with torch.inference_mode():
-                last = _Turned(maps, kind, turned_spectra(torch.from_numpy(maps[kind])))
-            self._turned = last
-        return last.spectra
+                spectra = turned_spectra(torch.from_numpy(maps[kind]))
+            self._turned = _Turned(maps, kind, spectra)
+        return self._turned.spectra
 
     def _maps(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Tensor, Tensor]:
         """Features of the one as a source and of the other as a target."""

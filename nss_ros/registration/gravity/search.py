@@ -15,7 +15,6 @@ from nss_ros.registration.gravity.correlation import (
     YAWS,
     correlate_turned,
     shift_of,
-    spectrum,
 )
 
 # Poses closer than this to a better one are the same hypothesis, in cells of the grid.
@@ -67,7 +66,7 @@ def search(turned: Sequence[Tensor], target: Tensor, count: int) -> Search:
         count: most peaks.
     """
     with torch.inference_mode():
-        scores = correlate_turned(turned, spectrum(target), target.shape[-1])
+        scores = correlate_turned(turned, target)
         places = best_places(scores, count)
         total = float(scores.flatten().logsumexp(dim=0))
     peaks = tuple(

@@ -44,9 +44,10 @@ from nss_ros.registration.gravity.verifier_training import Case, case_of, train_
 from nss_ros.registration.gravity.weights import Networks, load_network, save_weights
 from nss_ros.registration.gravity.wide import is_wide
 
-# Shares of the pairs that do not overlap, and of different stages among the others.
-_APART, _DIFFERENT = 0.2, 0.65
-_COMPARISON_APART, _COMPARISON_DIFFERENT = 0.1, 0.75
+# Shares of the pairs that do not overlap.
+_VERIFIER_APART, _COMPARISON_APART = 0.2, 0.1
+# Share of those of different stages among the others.
+_COMPARISON_DIFFERENT = 0.75
 _CACHE = 400
 
 
@@ -155,10 +156,10 @@ def verifier_cases(
 ) -> list[Case]:
     """Hypotheses of pairs drawn from prepared fragments, with what is right."""
     features = _features(method, items)
-    examples, rng = ExampleSource(items, seed, _DIFFERENT), np.random.default_rng(seed)
+    examples, rng = ExampleSource(items, seed), np.random.default_rng(seed)
     cases = []
     for _ in bar.track(range(count), description="pairs to verify"):
-        example, truth = _drawn(examples, rng, _APART)
+        example, truth = _drawn(examples, rng, _VERIFIER_APART)
         candidates = method.candidates(features(example.source), features(example.target))
         cases.append(case_of(candidates, truth, example.same_stage))
     return cases
