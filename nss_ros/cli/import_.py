@@ -36,8 +36,8 @@ from nss_ros.multiway.pose_graph import NodeStatus
 _LOOKED = {
     True: "They look like scans of a levelled tripod, so yaw and translation are searched only; "
     "--not-gravity-aligned says that they are not.",
-    False: "They do not look like scans of a levelled tripod with the sensor at the origin, so any "
-    "rotation is searched, which finds less; --gravity-aligned says that they are.",
+    False: "They do not look like scans of a levelled tripod, so any rotation is searched, which "
+    "finds less; --gravity-aligned says that they are.",
 }
 
 

@@ -26,6 +26,9 @@ from nss_ros.multiway.pose_graph import PoseGraph
 
 METADATA_KEY = "challenge"
 
+# Distance of a cloud from its origin, metres, from which single precision loses half a centimetre.
+_FARTHEST = 50_000.0
+
 _GRAPH_FOLDERS = ("pose_graph", "pose_graphs")
 _POINT_FOLDERS = ("point_cloud", "point_clouds", "pointcloud", "pointclouds", ".")
 
@@ -107,7 +110,7 @@ def read_fragment(
     """The fragment of a PLY file, and how many non-finite points it was cleaned of.
 
     Raises:
-        FormatError: the file is not valid, or holds no finite point.
+        FormatError: the file is not valid, holds no finite point, or lies too far from its origin.
     """
     with np.errstate(over="ignore"):
         vertices = read_ply(path)
@@ -115,6 +118,13 @@ def read_fragment(
     if len(points) == 0:
         raise FormatError(
             f"{path} holds no finite point: replace it, or take its node out of the pose graph."
+        )
+    away = float(np.median(np.abs(points).max(axis=1)))
+    if away > _FARTHEST:
+        raise FormatError(
+            f"{path} lies {away / 1000:.0f} km from the origin of its frame, where single "
+            f"precision keeps {np.spacing(np.float32(away)) * 100:.1f} cm only: subtract an offset "
+            "from its coordinates, for example that of the site."
         )
     return Fragment(fragment_id, points, gravity_aligned), len(vertices) - len(points)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from nss_ros.dataset.challenge_folder import read_fragment
 from nss_ros.fragment import FragmentId, Points, clean_points, voxelize
+from nss_ros.standpoint import standpoint
 
 _VOXEL_SIZE, _NEIGHBOURS = 0.1, 20
 # Surfaces tilted by more than this, radians, are no floors; the axis is found again among those
@@ -23,13 +24,13 @@ _LOOKED_AT, _MOST_OF_THEM = 24, 0.8
 
 
 def looks_levelled(points: Points) -> bool:
-    """Whether z points up, within about two degrees, and the origin is above a floor.
+    """Whether z points up, within about two degrees, and the scanner stood above a floor.
 
     A levelled scan has a floor below its sensor, and level surfaces share a direction. In a frame
     turned at random hardly any surface is that close to level.
 
     Args:
-        points: (n, 3), metres, sensor frame.
+        points: (n, 3), metres, sensor frame, or one whose origin is elsewhere.
     """
     cloud = voxelize(clean_points(points), _VOXEL_SIZE)
     if len(cloud) < 100:
@@ -41,9 +42,10 @@ def looks_levelled(points: Points) -> bool:
         if level.mean() < _LEAST_LEVEL:
             return False
         axis = np.linalg.eigh(normals[level].T @ normals[level])[1][:, -1]
-    floor = level & (cloud[:, 2] < -_FLOOR_BELOW)
-    tilt = np.arccos(min(abs(float(axis[2])), 1.0))
-    return bool(tilt < _MOST_TILT and floor.mean() > _LEAST_FLOOR)
+    if np.arccos(min(abs(float(axis[2])), 1.0)) >= _MOST_TILT:
+        return False
+    floor = level & (cloud[:, 2] < standpoint(points)[2] - _FLOOR_BELOW)
+    return bool(floor.mean() > _LEAST_FLOOR)
 
 
 def files_look_levelled(files: Sequence[tuple[FragmentId, Path]]) -> bool:

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, Points
+from nss_ros.geometry import Vector
 from nss_ros.registration.gravity.agreement import WallView
 from nss_ros.registration.gravity.method import feature_maps
 from nss_ros.registration.gravity.network import STRIDE, GravityNetwork
 from nss_ros.registration.gravity.raster import CELL, FREE, OCCUPIED, Raster, rasterize
 from nss_ros.registration.gravity.scan import LevelScan, fitting_scan_of
+from nss_ros.standpoint import at_standpoint
 
 # As a share of how far their maps reach: 7 m for fragments of a Matterport.
 _FARTHEST = 7.0 / 4.8
@@ -21,17 +23,18 @@ _FARTHEST = 7.0 / 4.8
 
 @dataclass(frozen=True, slots=True)
 class SubmapFragment:
-    """A levelled fragment.
+    """A levelled fragment, in the frame of its standpoint, where its scanner stood.
 
     Attributes:
         id: the fragment.
-        points: (n, 3) float32, voxelised, metres, sensor frame.
+        points: (n, 3) float32, voxelised, metres.
         normals: (n, 3) float32, unit, towards the sensor.
-        floor: height of the floor in the sensor frame, metres.
+        floor: height of the floor, metres.
         maps: (2, CHANNELS, h, w) float16, features for a pair of different stages and of one.
         seen: (h, w) float16, 0..1, how much of each cell its scanner saw.
         view: what its scanner saw, to tell whether what another of its stage saw can be there.
         network: that made the features.
+        standpoint: (3,) in the frame that the fragment came in, metres.
     """
 
     id: FragmentId
@@ -43,9 +46,10 @@ class SubmapFragment:
 
     view: WallView
     network: GravityNetwork
+    standpoint: Vector
 
     @classmethod
-    def of(cls, scan: LevelScan, network: GravityNetwork) -> SubmapFragment:
+    def of(cls, scan: LevelScan, network: GravityNetwork, standpoint: Vector) -> SubmapFragment:
         """A prepared scan with its features."""
         return cls(
             scan.id,
@@ -56,6 +60,7 @@ class SubmapFragment:
             _seen(scan.maps),
             WallView.of(scan.points, scan.normals),
             network,
+            standpoint,
         )
 
     @property
@@ -85,8 +90,11 @@ def submap_fragment(
     """A fragment as a part of submaps; None if it is not levelled, or too small."""
     if not fragment.gravity_aligned:
         return None
-    scan = fitting_scan_of(fragment, config)
-    return SubmapFragment.of(scan, network) if len(scan.points) >= config.min_points else None
+    seen, place = at_standpoint(fragment)
+    scan = fitting_scan_of(seen, config)
+    if len(scan.points) < config.min_points:
+        return None
+    return SubmapFragment.of(scan, network, place)
 
 
 def _seen(maps: Raster) -> NDArray[np.float16]:

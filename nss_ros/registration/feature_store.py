@@ -1,7 +1,8 @@
 """Features of fragments, in memory up to a limit, else on disk: computed once for all processes.
 
 The folder is shared by the processes that register pairs. It holds fragments and what methods
-made of them, and no ground truth.
+made of them, and no ground truth. Methods get to see fragments from where their scanners stood;
+answers are for the frames that the fragments came in.
 """
 
 from __future__ import annotations
@@ -11,13 +12,20 @@ import pickle
 from collections import OrderedDict
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
+from nss_ros.geometry import Vector
 from nss_ros.registration.method import Method
 from nss_ros.registration.pair import register_pair
-from nss_ros.registration.relative_transform import Reason, RelativeTransform, failed
+from nss_ros.registration.relative_transform import (
+    Reason,
+    RelativeTransform,
+    failed,
+    from_standpoints,
+)
+from nss_ros.standpoint import Standpoints, at_standpoint
 
 
 def fragment_file(folder: Path, fragment: FragmentId) -> Path:
@@ -38,6 +46,13 @@ def store_fragment(folder: Path, fragment: Fragment, voxel_size: float) -> None:
     )
 
 
+class Prepared(NamedTuple):
+    """What a method made of a fragment as seen from its standpoint (3,), and that."""
+
+    features: Any
+    standpoint: Vector
+
+
 class FeatureStore:
     """Features by fragment, for one process: from memory, from disk, or computed.
 
@@ -53,9 +68,9 @@ class FeatureStore:
         self._fragments, self._features = fragments, features
         self._limit = limit
         self._size = 0
-        self._entries: OrderedDict[FragmentId, tuple[Any, int]] = OrderedDict()
+        self._entries: OrderedDict[FragmentId, tuple[Prepared, int]] = OrderedDict()
 
-    def get(self, id_: FragmentId) -> Any:
+    def get(self, id_: FragmentId) -> Prepared:
         """The features of a fragment.
 
         Raises:
@@ -68,17 +83,18 @@ class FeatureStore:
         path = feature_file(self._features, id_)
         if path.exists():
             data = path.read_bytes()
-            features = pickle.loads(data)
+            prepared: Prepared = pickle.loads(data)
             size = len(data)
         else:
             fragment = pickle.loads(fragment_file(self._fragments, id_).read_bytes())
-            features = self.method.prepare(fragment)
-            size = _save(path, features)
-        self._entries[id_] = (features, size)
+            seen, place = at_standpoint(fragment)
+            prepared = Prepared(self.method.prepare(seen), place)
+            size = _save(path, prepared)
+        self._entries[id_] = (prepared, size)
         self._size += size
         while self._size > self._limit and len(self._entries) > 2:
             self._size -= self._entries.popitem(last=False)[1][1]
-        return features
+        return prepared
 
     def prepare(self, id_: FragmentId) -> float:
         """Have a fragment's features computed; seconds, NaN if that failed.
@@ -99,7 +115,8 @@ class FeatureStore:
         except Exception as error:
             message = f"Features could not be computed: {error}"
             return failed(pair, config.method, Reason.METHOD_ERROR, message)
-        return register_pair(self.method, source, target, pair, config)
+        answer = register_pair(self.method, source.features, target.features, pair, config)
+        return from_standpoints(answer, Standpoints(source.standpoint, target.standpoint))
 
 
 def _save(path: Path, value: Any) -> int:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 import numpy as np
 
 from nss_ros.fragment import FragmentPair
 from nss_ros.geometry import Matrix, Transform
+from nss_ros.standpoint import Standpoints
 
 
 class Reason(IntEnum):
@@ -70,6 +71,25 @@ class RelativeTransform:
     def ok(self) -> bool:
         """Whether there is an estimate."""
         return self.reason is Reason.NONE
+
+
+def from_standpoints(answer: RelativeTransform, standpoints: Standpoints) -> RelativeTransform:
+    """An answer to fragments as seen from their standpoints, for the frames that they came in."""
+    if not answer.ok or standpoints.are_origins:
+        return answer
+    return replace(
+        answer,
+        T_target_source=standpoints.transform(answer.T_target_source),
+        covariance=standpoints.covariance(answer.covariance),
+        alternatives=tuple(
+            Hypothesis(
+                standpoints.transform(each.T_target_source),
+                each.probability,
+                standpoints.covariance(each.covariance),
+            )
+            for each in answer.alternatives
+        ),
+    )
 
 
 def failed(pair: FragmentPair, method: str, reason: Reason, message: str) -> RelativeTransform:

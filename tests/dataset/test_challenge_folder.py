@@ -120,3 +120,13 @@ def test_non_finite_points_are_left_out(tmp_path):
     write_ply(tmp_path / "a.ply", {axis: points[1:2, i] for i, axis in enumerate("xyz")})
     with pytest.raises(FormatError, match=r"a\.ply holds no finite point"):
         read_fragment(SPOTS[0], tmp_path / "a.ply", gravity_aligned=False)
+
+
+def test_a_cloud_too_far_from_its_origin_is_refused(tmp_path):
+    points = np.random.default_rng(0).uniform(-4, 4, (50, 3))
+    for offset in (0.0, 4e4):
+        write_ply(tmp_path / "a.ply", dict(zip("xyz", (points + offset).T, strict=True)))
+        assert read_fragment(SPOTS[0], tmp_path / "a.ply", gravity_aligned=True)[1] == 0
+    write_ply(tmp_path / "a.ply", dict(zip("xyz", (points + np.array([5e5, 0, 0])).T, strict=True)))
+    with pytest.raises(FormatError, match=r"a\.ply lies 500 km .* keeps 3\.1 cm only: subtract"):
+        read_fragment(SPOTS[0], tmp_path / "a.ply", gravity_aligned=True)

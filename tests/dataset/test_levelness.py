@@ -35,6 +35,12 @@ def test_scans_of_a_tripod_look_levelled_whatever_their_heading(scans):
         assert looks_levelled(turned(points, Rotation.from_euler("z", 40 * number, degrees=True)))
 
 
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 1.6), (25.0, -40.0, 3.0)])
+def test_so_do_they_where_the_origin_is_not_the_sensor(scans, origin):
+    for points in scans[::6]:
+        assert looks_levelled(points + np.array(origin, np.float32))
+
+
 @settings(max_examples=8)
 @given(st.integers(0, 10_000))
 def test_in_random_frames_hardly_any_do(scans, seed):

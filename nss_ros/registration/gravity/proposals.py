@@ -22,6 +22,7 @@ from nss_ros.registration.gravity.method import feature_maps
 from nss_ros.registration.gravity.scan import fitting_scan_of
 from nss_ros.registration.gravity.weights import load_weights
 from nss_ros.registration.gravity.wide import evened
+from nss_ros.standpoint import at_standpoint
 
 #: Pairs that a worker looks at in one call, a few seconds.
 PAIRS_PER_CALL = 64
@@ -44,7 +45,7 @@ def sketch(fragment: Fragment, config: RegistrationConfig) -> Sketch | None:
     """A fragment's sketch; None if it is not levelled or has too few points."""
     if not fragment.gravity_aligned:
         return None
-    scan = fitting_scan_of(fragment, config)
+    scan = fitting_scan_of(at_standpoint(fragment)[0], config)
     if len(scan.points) < config.min_points:
         return None
     network = load_weights(config.gravity.weights).network

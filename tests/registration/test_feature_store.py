@@ -1,0 +1,49 @@
+"""Features by fragment, and the frames in which answers are given."""
+
+import numpy as np
+import pytest
+
+from nss_ros.config import RegistrationConfig
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair
+from nss_ros.registration.feature_store import FeatureStore, store_fragment
+from nss_ros.registration.method import load_method
+from nss_ros.standpoint import shift
+
+FIRST, SECOND, FOOT = FragmentId("1", 1, 0), FragmentId("1", 1, 1), FragmentId("1", 1, 2)
+CONFIG = RegistrationConfig(method="gravity")
+UP = np.array([0.0, 0.0, 1.4])
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory, room):
+    folder = tmp_path_factory.mktemp("store")
+    one, other = room.fragments[:2]
+    on_floor = Fragment(FOOT, (other.points + UP).astype(np.float32), True)
+    for fragment in (one, other, on_floor):
+        store_fragment(folder, fragment, CONFIG.voxel_size)
+    return FeatureStore(load_method(CONFIG), folder, folder, 1 << 28)
+
+
+def test_answers_are_for_the_frames_that_the_fragments_came_in(store):
+    place = store.get(FOOT).standpoint
+    assert np.allclose(place, UP, atol=0.3)
+    assert not store.get(FIRST).standpoint.any()
+    usual = store.register(FragmentPair(FIRST, SECOND), CONFIG)
+    ahead = store.register(FragmentPair(FIRST, FOOT), CONFIG)
+    back = store.register(FragmentPair(FOOT, FIRST), CONFIG)
+    assert usual.ok
+    expected = shift(UP) @ usual.T_target_source
+    assert np.allclose(ahead.T_target_source, expected, atol=0.05)
+    assert np.allclose(back.T_target_source @ ahead.T_target_source, np.eye(4), atol=0.05)
+    assert ahead.confidence > 0.5 * usual.confidence
+
+
+def test_features_are_kept_on_disk_with_the_standpoint(store, tmp_path):
+    again = FeatureStore(store.method, tmp_path, store._features, 1 << 28)
+    assert np.array_equal(again.get(FOOT).standpoint, store.get(FOOT).standpoint)
+
+
+def test_a_fragment_that_was_never_stored_is_said(store):
+    answer = store.register(FragmentPair(FIRST, FragmentId("1", 1, 9)), CONFIG)
+    assert not answer.ok
+    assert "Features could not be computed" in answer.message
