@@ -54,12 +54,15 @@ class Classification:
     curve: tuple[tuple[float, float, float], ...]
 
 
-def classify(overlaps: NDArray[np.bool_], probability: Floats) -> Classification | None:
-    """Score overlap probabilities; None of none.
+def classify(
+    overlaps: NDArray[np.bool_], probability: Floats, least: float = MIN_PROBABILITY
+) -> Classification | None:
+    """Score overlap probabilities, or other scores in 0..1; None of none.
 
     Args:
         overlaps: (n,) the truth.
         probability: (n,); NaN, meaning that the method gave none, is left out.
+        least: pairs are called overlapping from here.
     """
     from sklearn.metrics import average_precision_score, roc_auc_score  # costs seconds
 
@@ -67,7 +70,7 @@ def classify(overlaps: NDArray[np.bool_], probability: Floats) -> Classification
     if not known.any():
         return None
     overlaps, probability = overlaps[known], probability[known]
-    called = probability >= MIN_PROBABILITY
+    called = probability >= least
     hits = np.count_nonzero(overlaps & called)
     both = bool(overlaps.any() and not overlaps.all())
     positive = float(average_precision_score(overlaps, probability)) if both else NAN

@@ -35,7 +35,7 @@ from nss_ros.benchmark.metrics import (
     successes,
     translation_error,
 )
-from nss_ros.benchmark.overlap_truth import OverlapTruth
+from nss_ros.benchmark.overlap_truth import OverlapClouds, OverlapTruth
 from nss_ros.dataset.challenge import ChallengeGraph, ChallengeNode
 from nss_ros.dataset.submission import accepted_components, placed_graph, template_of
 from nss_ros.errors import InputError
@@ -148,6 +148,8 @@ class Answers:
         overlap: (n,) 1 or 0, whether the fragments overlap; NaN where that is not known (see
             `OverlapTruth`) or no probability is given.
         overlap_probability: (n,) as reported; NaN where the method gave none.
+        map_overlap: (n,) overlap ratio at the map's poses, 0..1; 0 of fragments that are not in one
+            component of it; NaN where `overlap` is, without a map or without point clouds.
         confidence: (n,) as reported; NaN without an estimate.
         rre: (n,) degrees; NaN without an estimate, or where the true transform is not known: it
             is that of an edge of the ground truth, else of the poses of both in one graph.
@@ -159,6 +161,7 @@ class Answers:
     ok: Booleans
     overlap: Floats
     overlap_probability: Floats
+    map_overlap: Floats
     confidence: Floats
     rre: Floats
     rte: Floats
@@ -527,7 +530,8 @@ def _answers(log: Log, graphs: Sequence[PoseGraph]) -> Answers:
     probability = np.array([answer.overlap_probability for answer in answers], dtype=np.float64)
     given = np.flatnonzero(np.isfinite(probability))
     overlap = np.full(len(pairs), NAN)
-    overlap[given] = OverlapTruth(log, graphs).overlaps([pairs[i] for i in given])
+    clouds = OverlapClouds(log.fragments)
+    overlap[given] = OverlapTruth(log, graphs, clouds).overlaps([pairs[i] for i in given])
     confidence = [answer.confidence if answer.ok else NAN for answer in answers]
     return Answers(
         pairs=pairs,
@@ -535,10 +539,26 @@ def _answers(log: Log, graphs: Sequence[PoseGraph]) -> Answers:
         ok=np.array([answer.ok for answer in answers], dtype=bool),
         overlap=overlap,
         overlap_probability=probability,
+        map_overlap=_map_overlaps(pairs, overlap, log, clouds),
         confidence=np.array(confidence, dtype=np.float64),
         rre=rotation_error(truth, estimates),
         rte=translation_error(truth, estimates),
     )
+
+
+def _map_overlaps(
+    pairs: Sequence[FragmentPair], overlap: Floats, log: Log, clouds: OverlapClouds
+) -> Floats:
+    """Overlap ratios at the map's poses, where both kinds of pairs were asked for."""
+    ratios = np.full(len(pairs), NAN)
+    if log.pose_graph is None or len(np.unique(overlap[np.isfinite(overlap)])) < 2:
+        return ratios
+    known = np.isfinite(overlap) & np.array([clouds.has(pair) for pair in pairs], dtype=bool)
+    ratios[known] = 0.0
+    transforms = _map_transforms(pairs, log.pose_graph)
+    for i in np.flatnonzero(known & np.isfinite(transforms[:, 0, 0])).tolist():
+        ratios[i] = clouds.ratio(pairs[i], transforms[i])
+    return ratios
 
 
 def _true_transforms(pairs: Sequence[FragmentPair], graphs: Sequence[PoseGraph]) -> Floats:

@@ -24,7 +24,7 @@ from nss_ros.bag import Log
 from nss_ros.benchmark.classification import MIN_OVERLAP
 from nss_ros.benchmark.metrics import Floats
 from nss_ros.dataset.overlap import Cloud, pair_overlap
-from nss_ros.fragment import FragmentId, FragmentPair
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import Transform, relative
 from nss_ros.multiway.pose_graph import PoseGraph
 
@@ -34,21 +34,43 @@ COMPLETE_KEY = "simulation.min_overlap"
 NAN = float("nan")
 
 
+class OverlapClouds:
+    """Overlap ratios of fragments by their point clouds, which are prepared once."""
+
+    def __init__(self, fragments: Mapping[FragmentId, Fragment]) -> None:
+        self._fragments = fragments
+        self._clouds: dict[FragmentId, Cloud] = {}
+
+    def has(self, pair: FragmentPair) -> bool:
+        """Whether the clouds of both are there."""
+        return pair.source in self._fragments and pair.target in self._fragments
+
+    def ratio(self, pair: FragmentPair, T_target_source: Transform) -> float:
+        """The overlap ratio of a pair of fragments that are there, aligned so."""
+        source, target = self._cloud(pair.source), self._cloud(pair.target)
+        return pair_overlap(source, target, T_target_source).overlap_ratio
+
+    def _cloud(self, id_: FragmentId) -> Cloud:
+        if id_ not in self._clouds:
+            self._clouds[id_] = Cloud(self._fragments[id_].points)
+        return self._clouds[id_]
+
+
 class OverlapTruth:
     """The truth of each pair of a log; see the module.
 
     Args:
         log: with or without point clouds.
         graphs: its ground truth.
+        clouds: of the log's fragments.
     """
 
-    def __init__(self, log: Log, graphs: Sequence[PoseGraph]) -> None:
-        self._log = log
+    def __init__(self, log: Log, graphs: Sequence[PoseGraph], clouds: OverlapClouds) -> None:
+        self._clouds = clouds
         self._poses = [
             {id_: node.T_map_fragment for id_, node in graph.poses().items()} for graph in graphs
         ]
         self._edges: dict[FragmentPair, float] = {}
-        self._clouds: dict[FragmentId, Cloud] = {}
         self._complete = _lists_all(log.metadata)
         for graph in graphs:
             for edge in graph.edges:
@@ -69,19 +91,11 @@ class OverlapTruth:
         poses = next((p for p in self._poses if pair.source in p and pair.target in p), None)
         if poses is None:
             return NAN
-        if pair.source in self._log.fragments and pair.target in self._log.fragments:
-            return float(self._measured(pair, poses) >= MIN_OVERLAP)
+        if self._clouds.has(pair):
+            truth = relative(poses[pair.source], poses[pair.target])
+            return float(self._clouds.ratio(pair, truth) >= MIN_OVERLAP)
         linked = pair in self._edges or FragmentPair(pair.target, pair.source) in self._edges
         return 0.0 if self._complete and not linked else NAN
-
-    def _measured(self, pair: FragmentPair, poses: Mapping[FragmentId, Transform]) -> float:
-        truth = relative(poses[pair.source], poses[pair.target])
-        return pair_overlap(self._cloud(pair.source), self._cloud(pair.target), truth).overlap_ratio
-
-    def _cloud(self, id_: FragmentId) -> Cloud:
-        if id_ not in self._clouds:
-            self._clouds[id_] = Cloud(self._log.fragments[id_].points)
-        return self._clouds[id_]
 
 
 def _lists_all(metadata: Mapping[str, str]) -> bool:

@@ -25,7 +25,12 @@ import numpy as np
 from nss_ros.bag import Log
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.calibration import Calibration, calibrate
-from nss_ros.benchmark.classification import Classification, classify
+from nss_ros.benchmark.classification import (
+    MIN_OVERLAP,
+    MIN_PROBABILITY,
+    Classification,
+    classify,
+)
 from nss_ros.benchmark.displacement import StageDisplacement, stage_displacements
 from nss_ros.benchmark.evaluation import (
     Answers,
@@ -163,14 +168,14 @@ class BinScore:
 
 @dataclass(frozen=True, slots=True)
 class OverlapScore:
-    """Overlap probabilities against the truth, by kind of pair; None where there are none.
+    """Overlap probabilities, or ratios in the map, against the truth; None where there are none.
 
     Attributes:
         all: all pairs.
         same_stage: pairs of one stage.
         different_stage: pairs of different stages.
-        without_probability: answers that give no probability, as failures may; left out.
-        unknown: answers with a probability whose truth is not known; left out.
+        without_probability: answers that give none, as failures may; left out.
+        unknown: answers with one whose truth is not known; left out.
     """
 
     all: Classification | None
@@ -214,7 +219,9 @@ class LogScore:
         areas: one score per area, micro averages.
         overlap_bins: recall by overlap ratio; empty bins and unknown ratios are left out.
         change_bins: recall by temporal change ratio; likewise.
-        overlap: overlap classification.
+        overlap: overlap classification by the methods' probabilities.
+        map_overlap: the same by the overlap ratios that pairs have at the map's poses, called from
+            0.1; without a map, point clouds or pairs that do not overlap there is none.
         calibration: of the confidence.
         displacements: of stages against each other; empty if the log holds no map.
         headline: headline figures by name, with bootstrap intervals; see `headline`.
@@ -237,6 +244,7 @@ class LogScore:
     overlap_bins: tuple[BinScore, ...]
     change_bins: tuple[BinScore, ...]
     overlap: OverlapScore
+    map_overlap: OverlapScore
     calibration: CalibrationScore
     displacements: tuple[StageDisplacement, ...]
     headline: dict[str, Headline]
@@ -289,7 +297,10 @@ def summarize(evaluation: Evaluation, bootstrap: Bootstrap | None = None) -> Log
         ),
         overlap_bins=_bins(edges, edges.overlap_ratio),
         change_bins=_bins(edges, edges.temporal_change),
-        overlap=_overlap_score(evaluation.answers),
+        overlap=_overlap_score(
+            evaluation.answers, evaluation.answers.overlap_probability, MIN_PROBABILITY
+        ),
+        map_overlap=_overlap_score(evaluation.answers, evaluation.answers.map_overlap, MIN_OVERLAP),
         calibration=_calibration_score(evaluation.answers),
         displacements=stage_displacements(placements) if placements is not None else (),
         headline=headline(evaluation, bootstrap),
@@ -407,10 +418,10 @@ def _bins(edges: Edges, ratio: Floats) -> tuple[BinScore, ...]:
     return tuple(bins)
 
 
-def _overlap_score(answers: Answers) -> OverlapScore:
-    given, known = np.isfinite(answers.overlap_probability), np.isfinite(answers.overlap)
+def _overlap_score(answers: Answers, scores: Floats, least: float) -> OverlapScore:
+    given, known = np.isfinite(scores), np.isfinite(answers.overlap)
     both, same, different = (
-        classify(answers.overlap[mask] == 1, answers.overlap_probability[mask])
+        classify(answers.overlap[mask] == 1, scores[mask], least)
         for mask in (known & kind for kind in _kinds(answers.same_stage))
     )
     return OverlapScore(both, same, different, int((~given).sum()), int((given & ~known).sum()))

@@ -323,26 +323,30 @@ def bin_table(scores: Sequence[LogScore], by: str) -> Table:
 
 
 def overlap_table(scores: Sequence[LogScore]) -> Table:
-    """Overlap classification by kind of pair."""
+    """Overlap classification by kind of pair: by the answers, and by the map."""
     several = len(scores) > 1
+    with_map = any(score.map_overlap.all is not None for score in scores)
     rows: list[Row] = []
     left_out = 0
     for score, name in zip(scores, run_names(scores), strict=True):
         left_out += score.overlap.without_probability + score.overlap.unknown
-        for kind in KINDS:
-            each = getattr(score.overlap, kind)
-            if each is not None:
-                rows.append(
-                    (
-                        *([name] if several else []), KIND_NAMES[kind], each.pairs,
-                        each.overlapping, each.mean_average_precision, each.auroc,
-                        each.accuracy, each.precision, each.recall, each.f1,
-                    )
-                )  # fmt: skip
+        for by, overlap in (("pair", score.overlap), ("map", score.map_overlap)):
+            for kind in KINDS:
+                each = getattr(overlap, kind)
+                if each is not None:
+                    rows.append(
+                        (
+                            *([name] if several else []), *([by] if with_map else []),
+                            KIND_NAMES[kind], each.pairs, each.overlapping,
+                            each.mean_average_precision, each.auroc,
+                            each.accuracy, each.precision, each.recall, each.f1,
+                        )
+                    )  # fmt: skip
     return Table(
         "Overlap classification",
         (
             *([Column("run", align=Align.LEFT)] if several else []),
+            *([Column("by", align=Align.LEFT)] if with_map else []),
             Column("stages", align=Align.LEFT),
             Column("pairs", form=","),
             Column("overlap", form=","),
@@ -353,7 +357,14 @@ def overlap_table(scores: Sequence[LogScore]) -> Table:
         ),
         tuple(rows),
         "Overlap ratio of at least 0.1 against the probability that the method reports, called "
-        "from 0.5. mAP: average precision, mean over both classes."
+        "from 0.5"
+        + (
+            ", or the overlap ratio at the map's poses, called from 0.1, of pairs that it does not "
+            "link 0."
+            if with_map
+            else "."
+        )
+        + " mAP: average precision, mean over both classes."
         + (f" Left out for want of a probability or of the truth: {left_out}." if left_out else ""),
     )
 

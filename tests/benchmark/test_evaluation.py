@@ -6,6 +6,8 @@ import pytest
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.evaluation import evaluate, joined, relatives, rows
 from nss_ros.benchmark.score import summarize
+from nss_ros.benchmark.table import overlap_table
+from nss_ros.dataset.overlap import Cloud, pair_overlap
 from nss_ros.geometry import exponential, relative
 from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.registration.relative_transform import Reason, failed
@@ -62,6 +64,40 @@ def test_answers_of_pairs_that_are_no_edge_are_judged_by_poses(make_run):
     assert result.rte[0] < 0.2
     assert not result.ok[1]
     assert np.isnan([result.rte[1], result.confidence[1], result.overlap[1]]).all()
+
+
+def test_overlap_by_the_map_is_that_of_its_poses(make_run, cut):
+    log = cut(make_run(), 4, 6)
+    answers = evaluate(log).answers
+    nodes, numbers = log.pose_graph.poses(), {0: 0, 1: 0}
+    for pair, overlap in zip(answers.pairs, answers.map_overlap, strict=True):
+        source, target = nodes[pair.source], nodes[pair.target]
+        expected = 0.0
+        if source.component == target.component:
+            numbers[source.component] += 1
+            transform = relative(source.T_map_fragment, target.T_map_fragment)
+            clouds = (Cloud(log.fragments[id_].points) for id_ in (pair.source, pair.target))
+            expected = pair_overlap(*clouds, transform).overlap_ratio
+            assert expected > 0.1
+        assert overlap == pytest.approx(expected)
+    assert numbers == {0: 6, 1: 1}
+    score = summarize(evaluate(log), NONE)
+    judged = score.map_overlap.all
+    # The first edge alone is below the limit.
+    assert (judged.pairs, judged.overlapping) == (15, 14)
+    assert judged.recall == pytest.approx(np.mean(answers.map_overlap[1:] >= 0.1))
+    table = overlap_table([score])
+    assert [row[0] for row in table.rows] == ["pair"] * 3 + ["map"] * 3
+    assert "map's poses" in table.caption
+
+
+@pytest.mark.parametrize("missing", [{"fragments": {}}, {"pose_graph": None}])
+def test_without_a_map_or_points_the_map_tells_no_overlap(make_run, missing):
+    evaluation = evaluate(make_run(**missing))
+    assert np.isnan(evaluation.answers.map_overlap).all()
+    score = summarize(evaluation, NONE)
+    assert score.map_overlap.all is None
+    assert "by" not in [column.heading for column in overlap_table([score]).columns]
 
 
 def test_a_graph_that_reaches_into_another_area(make_run):

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nss_ros.benchmark.overlap_truth import COMPLETE_KEY, OverlapTruth
+from nss_ros.benchmark.overlap_truth import COMPLETE_KEY, OverlapClouds, OverlapTruth
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.geometry import from_yaw
 from nss_ros.multiway.pose_graph import Node
@@ -23,7 +23,8 @@ def log(make_run):
 
 
 def truth_of(log, *pairs):
-    return OverlapTruth(log, log.ground_truth).overlaps(pairs).tolist()
+    clouds = OverlapClouds(log.fragments)
+    return OverlapTruth(log, log.ground_truth, clouds).overlaps(pairs).tolist()
 
 
 def test_an_edge_decides_in_either_direction(log):
