@@ -352,17 +352,16 @@ def overlap_table(scores: Sequence[LogScore]) -> Table:
             Column("overlap", form=","),
             *(
                 Column(name, form=".3f")
-                for name in ("mAP", "AUROC", "accuracy", "precision", "recall", "F1")
+                for name in ("mAP", "AUROC", "accuracy", "prec.", "recall", "F1")
             ),
         ),
         tuple(rows),
-        "Overlap ratio of at least 0.1 against the probability that the method reports, called "
-        "from 0.5"
+        "Truth: overlap ratio of at least 0.1."
         + (
-            ", or the overlap ratio at the map's poses, called from 0.1, of pairs that it does not "
-            "link 0."
+            " By pair: the probability that the method reports, called from 0.5. By map: the "
+            "overlap ratio at its poses, called from 0.1; 0 where it does not link the pair."
             if with_map
-            else "."
+            else " Judged: the probability that the method reports, called from 0.5."
         )
         + " mAP: average precision, mean over both classes."
         + (f" Left out for want of a probability or of the truth: {left_out}." if left_out else ""),

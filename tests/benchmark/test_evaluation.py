@@ -88,7 +88,7 @@ def test_overlap_by_the_map_is_that_of_its_poses(make_run, cut):
     assert judged.recall == pytest.approx(np.mean(answers.map_overlap[1:] >= 0.1))
     table = overlap_table([score])
     assert [row[0] for row in table.rows] == ["pair"] * 3 + ["map"] * 3
-    assert "map's poses" in table.caption
+    assert "By map" in table.caption
 
 
 @pytest.mark.parametrize("missing", [{"fragments": {}}, {"pose_graph": None}])
