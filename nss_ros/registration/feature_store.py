@@ -27,6 +27,8 @@ from nss_ros.registration.relative_transform import (
 )
 from nss_ros.standpoint import Standpoints, at_standpoint
 
+_FEATURES = ".prepared"
+
 
 def fragment_file(folder: Path, fragment: FragmentId) -> Path:
     """Where a folder keeps a voxelised fragment."""
@@ -35,7 +37,13 @@ def fragment_file(folder: Path, fragment: FragmentId) -> Path:
 
 def feature_file(folder: Path, fragment: FragmentId) -> Path:
     """Where a folder keeps the features of a fragment."""
-    return folder / f"{fragment}.features"
+    return folder / f"{fragment}{_FEATURES}"
+
+
+def forget_features(folder: Path) -> None:
+    """Remove the features of all fragments, but not the fragments."""
+    for path in folder.glob(f"*{_FEATURES}"):
+        path.unlink()
 
 
 def store_fragment(folder: Path, fragment: Fragment, voxel_size: float) -> None:

@@ -28,7 +28,10 @@ class Method(Protocol):
     name: str
 
     def prepare(self, fragment: Fragment) -> Any:
-        """Features of one fragment: picklable, computed once, reused for all its pairs."""
+        """Features of one fragment: picklable, computed once, reused for all its pairs.
+
+        The origin of a levelled fragment is where its scanner stood: see `nss_ros.standpoint`.
+        """
         ...
 
     def register(self, source: Any, target: Any, seed: int) -> RelativeTransform:

@@ -18,7 +18,12 @@ from pathlib import Path
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.registration.feature_store import FeatureStore, fragment_file, store_fragment
+from nss_ros.registration.feature_store import (
+    FeatureStore,
+    forget_features,
+    fragment_file,
+    store_fragment,
+)
 from nss_ros.registration.method import load_method
 from nss_ros.registration.relative_transform import RelativeTransform, worker_died
 from nss_ros.worker_process import stop_now, worker_pool
@@ -76,8 +81,7 @@ class RegistrationPool:
         self._waiting.extendleft(reversed(self._running.values()))
         self._running.clear()
         self._executor.shutdown(wait=True, cancel_futures=True)
-        for path in self._directory.glob("*.features"):
-            path.unlink()
+        forget_features(self._directory)
         self._executor = self._start()
 
     def poll(self, timeout: float) -> list[RelativeTransform]:

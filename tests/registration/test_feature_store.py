@@ -5,7 +5,13 @@ import pytest
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.registration.feature_store import FeatureStore, store_fragment
+from nss_ros.registration.feature_store import (
+    FeatureStore,
+    feature_file,
+    forget_features,
+    fragment_file,
+    store_fragment,
+)
 from nss_ros.registration.method import load_method
 from nss_ros.standpoint import shift
 
@@ -38,9 +44,16 @@ def test_answers_are_for_the_frames_that_the_fragments_came_in(store):
     assert ahead.confidence > 0.5 * usual.confidence
 
 
-def test_features_are_kept_on_disk_with_the_standpoint(store, tmp_path):
-    again = FeatureStore(store.method, tmp_path, store._features, 1 << 28)
-    assert np.array_equal(again.get(FOOT).standpoint, store.get(FOOT).standpoint)
+def test_features_are_kept_on_disk_with_the_standpoint(store, tmp_path, room):
+    first = FeatureStore(store.method, store._fragments, tmp_path, 1 << 28)
+    kept = first.get(FOOT).standpoint
+    assert kept.any()
+    without_fragments = FeatureStore(store.method, tmp_path, tmp_path, 1 << 28)
+    assert np.array_equal(without_fragments.get(FOOT).standpoint, kept)
+    store_fragment(tmp_path, room.fragments[0], CONFIG.voxel_size)
+    forget_features(tmp_path)
+    assert not feature_file(tmp_path, FOOT).exists()
+    assert fragment_file(tmp_path, FIRST).exists()
 
 
 def test_a_fragment_that_was_never_stored_is_said(store):
