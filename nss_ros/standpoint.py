@@ -31,7 +31,7 @@ _NEARER, _MARGIN = 1.15, 0.5
 # Of 130 sensor frames of a Matterport no origin had more than 0.06 of the points hidden, of 20 of
 # a laser scanner between bare studs 0.32. An origin is doubted from the first share on, from the
 # second if hardly any point is below it, and always if it is that far outside of the points.
-_DOUBTED, _DOUBTED_LOW = 0.4, 0.06
+_DOUBTED, _DOUBTED_LOW = 0.4, 0.07
 _BELOW, _FEW, _OUTSIDE = -0.5, 0.05, 3.0
 # An origin on the floor is the foot of the tripod, unless another place is better by so much.
 _FOOT, _AT_FLOOR = 0.2, 0.4
