@@ -16,7 +16,7 @@ _COMPARED = (
     *(f"multiway_recall_{kind}" for kind in KINDS), "multiway_recall_challenge_all",
     "multiway_rte_all", "multiway_rre_all", "multiway_rmse_all", "global_rmse",
     "official_global_rmse", "coverage", "outlier_f1", "overlap_mean_average_precision",
-    "overlap_auroc", "confidence_error", "confidence_auroc",
+    "overlap_auroc", "map_overlap_auroc", "confidence_error", "confidence_auroc",
 )  # fmt: skip
 
 

@@ -99,6 +99,9 @@ _ANSWER_FIGURES = {
     "overlap_average_precision": Figure("overlap: average precision", "", True),
     "overlap_mean_average_precision": Figure("overlap: mAP", "", True),
     "overlap_auroc": Figure("overlap: AUROC", "", True),
+    "map_overlap_average_precision": Figure("overlap by the map: average precision", "", True),
+    "map_overlap_mean_average_precision": Figure("overlap by the map: mAP", "", True),
+    "map_overlap_auroc": Figure("overlap by the map: AUROC", "", True),
     "confidence_error": Figure("confidence: ECE", "", False),
     "confidence_auroc": Figure("confidence: AUROC", "", True),
 }
@@ -296,28 +299,40 @@ def _map_figures(placements: Placements) -> Callable[[Floats], Values]:
 
 
 def _answer_figures(answers: Answers) -> Callable[[Floats], Values]:
-    judged = np.flatnonzero(np.isfinite(answers.overlap) & np.isfinite(answers.overlap_probability))
-    overlaps, probability = answers.overlap[judged] == 1, answers.overlap_probability[judged]
+    by_pair = _overlap_figures(answers, answers.overlap_probability)
+    by_map = _overlap_figures(answers, answers.map_overlap)
     known = np.flatnonzero(np.isfinite(answers.confidence) & np.isfinite(answers.rte))
     right = successes(answers.rre[known], answers.rte[known])
     confidence = np.clip(answers.confidence[known], 0, 1)
-    by_probability, by_confidence = ranking(probability), ranking(confidence)
+    by_confidence = ranking(confidence)
 
     def figures(weights: Floats) -> Values:
-        values: Values = {}
-        if len(judged):
-            counts = threshold_counts(overlaps, by_probability, weights[:, judged])
-            positive = average_precision(counts)
-            values["overlap_average_precision"] = positive
-            values["overlap_mean_average_precision"] = (
-                positive + average_precision(swapped(counts))
-            ) / 2
-            values["overlap_auroc"] = auroc(counts)
+        values = {f"overlap_{name}": value for name, value in by_pair(weights).items()}
+        values |= {f"map_overlap_{name}": value for name, value in by_map(weights).items()}
         if len(known):
             chosen = weights[:, known]
             values["confidence_error"] = expected_calibration_error(right, confidence, chosen)
             values["confidence_auroc"] = auroc(threshold_counts(right, by_confidence, chosen))
         return values
+
+    return figures
+
+
+def _overlap_figures(answers: Answers, scores: Floats) -> Callable[[Floats], Values]:
+    """Average precision, mAP and AUROC of scores (n,) that tell overlap; none of none."""
+    judged = np.flatnonzero(np.isfinite(answers.overlap) & np.isfinite(scores))
+    overlaps, ranked = answers.overlap[judged] == 1, ranking(scores[judged])
+
+    def figures(weights: Floats) -> Values:
+        if not len(judged):
+            return {}
+        counts = threshold_counts(overlaps, ranked, weights[:, judged])
+        positive = average_precision(counts)
+        return {
+            "average_precision": positive,
+            "mean_average_precision": (positive + average_precision(swapped(counts))) / 2,
+            "auroc": auroc(counts),
+        }
 
     return figures
 

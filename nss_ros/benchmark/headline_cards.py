@@ -57,6 +57,7 @@ _CARDS: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
         (
             ("overlap_mean_average_precision", "overlap mAP"),
             ("overlap_auroc", "overlap AUROC"),
+            ("map_overlap_auroc", "overlap AUROC, map"),
             ("confidence_auroc", "confidence AUROC"),
             ("confidence_error", "confidence ECE"),
         ),

@@ -32,6 +32,11 @@ def test_headline_figures_are_those_of_the_score(score):
         overlap.mean_average_precision
     )
     assert figures["overlap_average_precision"].value == pytest.approx(overlap.average_precision)
+    by_map = score.map_overlap.all
+    assert figures["map_overlap_auroc"].value == pytest.approx(by_map.auroc)
+    assert figures["map_overlap_mean_average_precision"].value == pytest.approx(
+        by_map.mean_average_precision
+    )
     assert figures["confidence_error"].value == pytest.approx(confidence.expected_error)
     assert figures["confidence_auroc"].value == pytest.approx(confidence.auroc)
 
