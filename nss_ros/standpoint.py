@@ -169,7 +169,7 @@ def _best(places: Array, cloud: Array, floor: _Floor) -> tuple[Array, Array]:
 
 
 def _penalties(places: Array, cloud: Array, floor: _Floor) -> Array:
-    """How implausible places (n, 3) above a floor are, (n,)."""
+    """How implausible places (n, 3) above a floor are, (n,); few near points: beside the others."""
     shares, counts = np.array([_hidden_share(cloud, place) for place in places]).T
     feet = np.array([_floor_at_feet(floor.points, place) for place in places])
     sparse = _SPARSE * (1 - counts / max(float(counts.max()), 1))
