@@ -75,6 +75,19 @@ def transform_points(transform: Transform, points: NDArray[np.floating]) -> NDAr
     return np.asarray(points @ transform[:3, :3].T + transform[:3, 3], dtype=np.float64)
 
 
+def spherical(
+    points: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Distance, azimuth and elevation of points (..., 3) from the origin, each (...).
+
+    Azimuth in 0..2 pi from the negative x axis, elevation in 0..pi from straight below, radians.
+    """
+    x, y, z = points[..., 0], points[..., 1], points[..., 2]
+    distance = np.sqrt(x * x + y * y + z * z)
+    elevation = np.arcsin(np.clip(z / np.maximum(distance, 1e-9), -1, 1)) + np.pi / 2
+    return distance, np.arctan2(y, x) + np.pi, elevation
+
+
 def from_rotation(rotation: Rotation, translation: ArrayLike) -> Transform:
     """A transform from a scipy rotation and a translation in metres."""
     transform = np.eye(4)

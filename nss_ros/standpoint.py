@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from nss_ros.fragment import Fragment, clean_points, voxelize
-from nss_ros.geometry import Matrix, Transform, Vector, adjoint
+from nss_ros.geometry import Matrix, Transform, Vector, adjoint, spherical
 
 _VOXEL_SIZE = 0.1
 # No scan is larger, metres.
@@ -37,7 +37,7 @@ _BELOW, _FEW, _OUTSIDE = -0.5, 0.05, 3.0
 _FOOT, _AT_FLOOR = 0.2, 0.4
 # Another place must have so much less hidden than an origin amid the points.
 _BETTER = 0.7
-# Few points near a place speak against it; so does floor within two radii of it, which a tripod
+# Few points near a place speak against it; so does floor within three radii of it, which a tripod
 # hides, and a want of it in a ring around that, metres.
 _SPARSE = 0.4
 _RING, _BARE = (1.3, 2.3), 0.15
@@ -186,11 +186,9 @@ def _hidden_share(cloud: Array, place: Vector) -> tuple[float, int]:
     count = int(np.count_nonzero(near))
     if count == 0:
         return 1.0, 0
-    away, distance = away[near], np.sqrt(square[near]) + 1e-9
-    column = (np.arctan2(away[:, 1], away[:, 0]) + np.pi) / _COLUMN
-    row = (np.arcsin(away[:, 2] / distance) + np.pi / 2) / _ROW
-    cell = np.minimum(row.astype(np.intp), _ROWS - 1) * _COLUMNS
-    cell += np.minimum(column.astype(np.intp), _COLUMNS - 1)
+    distance, azimuth, elevation = spherical(away[near])
+    cell = np.minimum((elevation / _ROW).astype(np.intp), _ROWS - 1) * _COLUMNS
+    cell += np.minimum((azimuth / _COLUMN).astype(np.intp), _COLUMNS - 1)
     nearest = np.full(_ROWS * _COLUMNS, np.inf)
     np.minimum.at(nearest, cell, distance)
     hidden = np.count_nonzero(distance > nearest[cell] * _NEARER + _MARGIN)

@@ -17,6 +17,7 @@ from nss_ros.geometry import (
     logarithm,
     relative,
     rotation_angle,
+    spherical,
     tilt_angle,
     to_quaternion,
     transform_points,
@@ -113,3 +114,13 @@ def test_float32_noise_in_a_rotation_is_mended():
 def test_a_quaternion_without_length_is_refused():
     with pytest.raises(InputError, match="quaternion"):
         from_quaternion((0, 0, 0, 0), (0, 0, 0))
+
+
+@given(arrays(np.float64, (4, 3), elements=numbers))
+def test_spherical_coordinates_give_the_points_back(points):
+    distance, azimuth, elevation = spherical(points)
+    flat = distance * np.sin(elevation)
+    back = np.stack(
+        (-flat * np.cos(azimuth), -flat * np.sin(azimuth), -distance * np.cos(elevation)), axis=-1
+    )
+    np.testing.assert_allclose(back, points, atol=1e-6)

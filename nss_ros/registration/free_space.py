@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, minimum_filter
 
-from nss_ros.geometry import inverse
+from nss_ros.geometry import inverse, spherical
 
 _BIN = np.radians(2.0)
 _ROWS, _COLUMNS = 90, 180
@@ -108,10 +108,7 @@ def _moved(transforms: Array, points: Array) -> Array:
 
 def _directions(points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Row and column of the range image, and distance, of points (..., 3)."""
-    x, y, z = points[..., 0], points[..., 1], points[..., 2]
-    distances = np.sqrt(x * x + y * y + z * z)
-    azimuth = np.arctan2(y, x) + np.pi
-    elevation = np.arcsin(np.clip(z / np.maximum(distances, 1e-9), -1, 1)) + np.pi / 2
+    distances, azimuth, elevation = spherical(points)
     columns = np.minimum((azimuth / _BIN).astype(np.intp), _COLUMNS - 1)
     rows = np.minimum((elevation / _BIN).astype(np.intp), _ROWS - 1)
     return rows, columns, distances
