@@ -16,7 +16,7 @@ Places = Mapping[FragmentId, Vector]
 """Standpoints (3,) of those fragments that came in another frame, metres in that."""
 
 
-def at_standpoints(m: Measurement, places: Places) -> Measurement:
+def between_standpoints(m: Measurement, places: Places) -> Measurement:
     """A measurement between fragments, as one between their standpoints."""
     if m.pair.source not in places and m.pair.target not in places:
         return m
@@ -37,7 +37,7 @@ def at_standpoints(m: Measurement, places: Places) -> Measurement:
     )
 
 
-def from_standpoints(graph: PoseGraph, places: Places) -> PoseGraph:
+def graph_of_fragments(graph: PoseGraph, places: Places) -> PoseGraph:
     """A graph of standpoints as one of the fragments, each component in the frame of its first."""
     if not places:
         return graph

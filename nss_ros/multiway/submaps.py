@@ -23,7 +23,7 @@ from nss_ros.multiway.known import known_by
 from nss_ros.multiway.pose_graph import Measurement, PoseGraph
 from nss_ros.multiway.settling import settled
 from nss_ros.multiway.spanning_tree import Closeness, Poses
-from nss_ros.multiway.standpoints import at_standpoints, from_standpoints
+from nss_ros.multiway.standpoints import between_standpoints, graph_of_fragments
 from nss_ros.multiway.submap_fragment import SubmapFragment, submap_fragment
 from nss_ros.multiway.submap_joining import joined_submaps
 from nss_ros.registration.gravity.weights import load_weights
@@ -90,7 +90,7 @@ class Submaps:
         are.
         """
         places = {id_: each.standpoint for id_, each in prepared.items() if each.standpoint.any()}
-        measurements = [at_standpoints(m, places) for m in sorted(measurements, key=canonical)]
+        measurements = [between_standpoints(m, places) for m in sorted(measurements, key=canonical)]
         ids = [id_ for id_ in sorted(set(fragments)) if id_ in prepared]
         prepared = {id_: prepared[id_] for id_ in ids}
         inside = [m for m in measurements if _both(m, prepared)]
@@ -113,7 +113,7 @@ class Submaps:
             None if outside else start,
             rejected,
         )
-        return replace(from_standpoints(graph, places), synchronizer=self.name)
+        return replace(graph_of_fragments(graph, places), synchronizer=self.name)
 
 
 def _both(m: Measurement, prepared: Mapping[FragmentId, SubmapFragment]) -> bool:

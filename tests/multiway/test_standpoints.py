@@ -10,7 +10,7 @@ from nss_ros.fragment import Fragment, FragmentPair
 from nss_ros.geometry import inverse, relative, rotation_angle
 from nss_ros.multiway.pose_graph import Alternative, EdgeStatus
 from nss_ros.multiway.solver import prepared_by
-from nss_ros.multiway.standpoints import at_standpoints, from_standpoints
+from nss_ros.multiway.standpoints import between_standpoints, graph_of_fragments
 from nss_ros.multiway.submaps import Submaps
 from nss_ros.standpoint import shift
 
@@ -30,7 +30,7 @@ def moved(ids):
 
 def in_frames(m, moved):
     """A measurement between sensor frames, between the frames that the fragments came in."""
-    return at_standpoints(m, {id_: -place for id_, place in moved.items()})
+    return between_standpoints(m, {id_: -place for id_, place in moved.items()})
 
 
 def test_a_measurement_there_and_back(building, ids, moved):
@@ -42,7 +42,7 @@ def test_a_measurement_there_and_back(building, ids, moved):
     assert np.allclose(there.T_target_source, expected)
     assert np.allclose(there.alternatives[0].T_target_source, expected)
     assert not np.allclose(there.information, m.information)
-    back = at_standpoints(there, moved)
+    back = between_standpoints(there, moved)
     assert np.allclose(back.T_target_source, m.T_target_source)
     assert np.allclose(back.information, m.information)
     assert np.allclose(back.alternatives[0].information, m.information)
@@ -50,8 +50,8 @@ def test_a_measurement_there_and_back(building, ids, moved):
 
 def test_without_any_all_stays_as_it_is(building, ids):
     m = building.right(FragmentPair(ids[1], ids[0]))
-    assert at_standpoints(m, {}) is m
-    assert at_standpoints(m, {ids[4]: FOOT}) is m
+    assert between_standpoints(m, {}) is m
+    assert between_standpoints(m, {ids[4]: FOOT}) is m
 
 
 def test_submaps_place_fragments_whose_origin_is_on_the_floor(building, ids, moved):
@@ -82,8 +82,8 @@ def test_submaps_place_fragments_whose_origin_is_on_the_floor(building, ids, mov
 def test_a_graph_of_standpoints_becomes_one_of_fragments(building, ids, moved):
     answers = [building.right(pair) for pair in building.asked(ids)]
     graph = Submaps(MultiwayConfig()).synchronize(ids, answers)
-    assert from_standpoints(graph, {}) is graph
-    there = from_standpoints(graph, moved)
+    assert graph_of_fragments(graph, {}) is graph
+    there = graph_of_fragments(graph, moved)
     before, after = graph.poses(), there.poses()
     for id_ in ids:
         old = relative(before[id_].T_map_fragment, before[ids[0]].T_map_fragment)
