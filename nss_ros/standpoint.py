@@ -59,12 +59,12 @@ class _Floor(NamedTuple):
     points: Array
 
 
-def at_standpoint(fragment: Fragment) -> tuple[Fragment, Vector]:
+def at_standpoint(fragment: Fragment, search: bool = True) -> tuple[Fragment, Vector]:
     """A fragment as seen from where its scanner stood, and that place (3,) in its own frame.
 
-    Of a fragment that is not levelled the place is not looked for, and taken for the origin.
+    Of a fragment that is not levelled, or without `search`, the place is taken for the origin.
     """
-    if not fragment.gravity_aligned:
+    if not (search and fragment.gravity_aligned):
         return fragment, np.zeros(3)
     place = standpoint(fragment.points)
     if not place.any():

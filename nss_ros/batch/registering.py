@@ -212,7 +212,7 @@ def _run(task: _Task) -> _Answer:
         )
     config, store = _store_of(task.job)
     if task.pair is None:
-        return _Answer(task, seconds=store.prepare(task.fragment))
+        return _Answer(task, seconds=store.prepare(task.fragment).seconds)
     return _Answer(task, result=store.register(task.pair, config))
 
 
@@ -221,7 +221,7 @@ def _store_of(job: _Job) -> tuple[RegistrationConfig, FeatureStore]:
     config = RegistrationConfig.model_validate_json(job.config)
     method = load_method(config)
     folders = Path(job.fragments), Path(job.features)
-    return config, FeatureStore(method, *folders, job.memory_limit << 20)
+    return config, FeatureStore(method, *folders, job.memory_limit << 20, config.find_standpoints)
 
 
 def _pair(task: _Task) -> FragmentPair:

@@ -111,6 +111,10 @@ class RegistrationConfig(Section):
         0.05, description="Fragments are voxelised to this size on arrival, metres"
     )
     min_points: int = Field(100, ge=3, description="Fewest voxelised points that a fragment needs")
+    find_standpoints: bool = Field(
+        True,
+        description="Look for the scanner's place where the origin of a levelled fragment cannot be it; false: all origins are sensors",
+    )
     min_inlier_ratio: Fraction = Field(
         0.05, description="Least inlier ratio of an estimate; gravity gives a confidence instead"
     )
@@ -175,6 +179,10 @@ class MultiwayConfig(Section):
     submap_weights: str = Field(
         "",
         description="File of trained weights of gravity by which submaps are registered; empty: those that come with the package",
+    )
+    find_standpoints: bool = Field(
+        True,
+        description="Submaps: look for the scanner's place where the origin of a levelled fragment cannot be it; false: all origins are sensors",
     )
     max_distance: Positive = Field(
         0.2, description="Correspondence distance that scales the line process, metres"

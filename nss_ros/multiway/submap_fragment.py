@@ -90,7 +90,7 @@ def submap_fragment(
     """A fragment as a part of submaps; None if it is not levelled, or too small."""
     if not fragment.gravity_aligned:
         return None
-    seen, place = at_standpoint(fragment)
+    seen, place = at_standpoint(fragment, config.find_standpoints)
     scan = fitting_scan_of(seen, config)
     if len(scan.points) < config.min_points:
         return None

@@ -48,7 +48,8 @@ class Submaps:
     def __init__(self, config: MultiwayConfig) -> None:
         self._config = config
         self._registration = RegistrationConfig(
-            gravity=GravityConfig(weights=config.submap_weights)
+            gravity=GravityConfig(weights=config.submap_weights),
+            find_standpoints=config.find_standpoints,
         )
         # The sums of one thread are always the same.
         torch.set_num_threads(1)

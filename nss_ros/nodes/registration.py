@@ -67,6 +67,7 @@ class Registration(Node):
         self._incomplete: list[FragmentPair] = []
         self._last_arrival = time.monotonic()
         self._failures = 0
+        self._moved = 0
         self._create_interface()
         follow_parameters(self, RegistrationNodeConfig, self._events.put, _check)
         self.background = Background("register", self._work)
@@ -127,6 +128,7 @@ class Registration(Node):
             "failures": self._failures,
             "proposed": self._proposer.proposed,
             "undecided": self._proposer.undecided,
+            "origins_not_at_scanner": self._moved,
         }
         if self._proposer.undecided:
             return True, f"{self._proposer.undecided} fragments wait for pairs", values
@@ -139,6 +141,13 @@ class Registration(Node):
             self._give_up_on_incomplete()
             for result in self._pool.poll(_POLL):
                 self._answer(result)
+            self._warn_of_origins()
+
+    def _warn_of_origins(self) -> None:
+        for preparation in self._pool.take_prepared():
+            if preparation.warning:
+                self._moved += 1
+                self.get_logger().warning(f"{preparation.warning} Others may follow.", once=True)
 
     def _take_events(self) -> None:
         while True:

@@ -61,6 +61,33 @@ class Prepared(NamedTuple):
     standpoint: Vector
 
 
+class Preparation(NamedTuple):
+    """That a fragment was prepared.
+
+    Attributes:
+        fragment: its id.
+        seconds: how long it took; NaN if it failed.
+        standpoint: (3,) where its scanner stood, metres in the frame that it came in; None if
+            preparing it failed.
+    """
+
+    fragment: FragmentId
+    seconds: float = float("nan")
+    standpoint: Vector | None = None
+
+    @property
+    def warning(self) -> str:
+        """Says so if the standpoint is not the origin; else empty."""
+        if self.standpoint is None or not self.standpoint.any():
+            return ""
+        x, y, z = self.standpoint
+        return (
+            f"The origin of fragment {self.fragment} cannot be the place of its scanner, which is "
+            f"taken to be ({x:.1f}, {y:.1f}, {z:.1f}) by what it saw. If origins are the scanner's "
+            "places, set find_standpoints to false."
+        )
+
+
 class FeatureStore:
     """Features by fragment, for one process: from memory, from disk, or computed.
 
@@ -69,12 +96,21 @@ class FeatureStore:
         fragments: folder that `store_fragment` filled.
         features: folder of this method's features; may be the same.
         limit: bytes kept in memory; the features used last stay.
+        find_standpoints: whether origins that cannot be the scanner's place are replaced.
     """
 
-    def __init__(self, method: Method, fragments: Path, features: Path, limit: int) -> None:
+    def __init__(
+        self,
+        method: Method,
+        fragments: Path,
+        features: Path,
+        limit: int,
+        find_standpoints: bool = True,
+    ) -> None:
         self.method = method
         self._fragments, self._features = fragments, features
         self._limit = limit
+        self._find_standpoints = find_standpoints
         self._size = 0
         self._entries: OrderedDict[FragmentId, tuple[Prepared, int]] = OrderedDict()
 
@@ -95,7 +131,7 @@ class FeatureStore:
             size = len(data)
         else:
             fragment = pickle.loads(fragment_file(self._fragments, id_).read_bytes())
-            seen, place = at_standpoint(fragment)
+            seen, place = at_standpoint(fragment, self._find_standpoints)
             prepared = Prepared(self.method.prepare(seen), place)
             size = _save(path, prepared)
         self._entries[id_] = (prepared, size)
@@ -104,17 +140,17 @@ class FeatureStore:
             self._size -= self._entries.popitem(last=False)[1][1]
         return prepared
 
-    def prepare(self, id_: FragmentId) -> float:
-        """Have a fragment's features computed; seconds, NaN if that failed.
+    def prepare(self, id_: FragmentId) -> Preparation:
+        """Have a fragment's features computed.
 
-        A pair that needs them tries again, and reports the error.
+        A pair that needs them tries again where that failed, and reports the error.
         """
         begin = perf_counter()
         try:
-            self.get(id_)
+            prepared = self.get(id_)
         except Exception:
-            return float("nan")
-        return perf_counter() - begin
+            return Preparation(id_)
+        return Preparation(id_, perf_counter() - begin, prepared.standpoint)
 
     def register(self, pair: FragmentPair, config: RegistrationConfig) -> RelativeTransform:
         """The answer to a pair; never raises."""

@@ -20,6 +20,7 @@ from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.registration.feature_store import (
     FeatureStore,
+    Preparation,
     forget_features,
     fragment_file,
     store_fragment,
@@ -58,7 +59,8 @@ class RegistrationPool:
         self._directory = Path(tempfile.mkdtemp(prefix=f"{_PREFIX}{os.getpid()}_"))
         self._executor = self._start()
         self._waiting: deque[_Task] = deque()
-        self._running: dict[Future[RelativeTransform | None], _Task] = {}
+        self._running: dict[Future[RelativeTransform | Preparation], _Task] = {}
+        self._prepared: list[Preparation] = []
         self._last_source: FragmentId | None = None
 
     def add_fragment(self, fragment: Fragment) -> Path:
@@ -102,10 +104,17 @@ class RegistrationPool:
                 self._running[future] = task
                 results.extend(self._recover())
                 break
-            if result is not None:
+            if isinstance(result, Preparation):
+                self._prepared.append(result)
+            else:
                 results.append(result)
         self._fill()
         return results
+
+    def take_prepared(self) -> list[Preparation]:
+        """The fragments that were prepared since this was last called."""
+        prepared, self._prepared = self._prepared, []
+        return prepared
 
     def close(self) -> None:
         """End the workers and remove the folder."""
@@ -175,14 +184,15 @@ _store: FeatureStore
 def _start_worker(config: RegistrationConfig, directory: Path, memory_limit: int) -> None:
     global _config, _store  # noqa: PLW0603 - a pool's workers have no other place for their state
     _config = config
-    _store = FeatureStore(load_method(config), directory, directory, memory_limit << 20)
+    _store = FeatureStore(
+        load_method(config), directory, directory, memory_limit << 20, config.find_standpoints
+    )
 
 
-def _run(fragment: FragmentId, pair: FragmentPair | None) -> RelativeTransform | None:
+def _run(fragment: FragmentId, pair: FragmentPair | None) -> RelativeTransform | Preparation:
     if pair is not None:
         return _store.register(pair, _config)
-    _store.prepare(fragment)
-    return None
+    return _store.prepare(fragment)
 
 
 def _sweep() -> None:

@@ -60,3 +60,19 @@ def test_a_fragment_that_was_never_stored_is_said(store):
     answer = store.register(FragmentPair(FIRST, FragmentId("1", 1, 9)), CONFIG)
     assert not answer.ok
     assert "Features could not be computed" in answer.message
+
+
+def test_origins_that_are_not_the_scanners_place_are_told(store):
+    assert store.prepare(FIRST).warning == ""
+    told = store.prepare(FOOT)
+    assert str(FOOT) in told.warning
+    assert "find_standpoints" in told.warning
+    assert store.prepare(FragmentId("1", 1, 9)).standpoint is None
+
+
+def test_origins_are_taken_for_the_scanners_place_on_request(store, tmp_path):
+    trusting = FeatureStore(store.method, store._fragments, tmp_path, 1 << 28, False)
+    told = trusting.prepare(FOOT)
+    assert told.standpoint is not None
+    assert not told.standpoint.any()
+    assert told.warning == ""

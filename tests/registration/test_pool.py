@@ -101,3 +101,19 @@ def test_pairs_of_one_source_follow_each_other(lethal, room):
     finally:
         pool.close()
     assert [each.pair for each in answers] == [*pairs[0::2], *pairs[1::2]]
+
+
+def test_what_was_prepared_is_told_once(lethal, room):
+    pool = RegistrationPool(lethal, workers=1)
+    try:
+        for fragment in room.fragments:
+            pool.add_fragment(fragment)
+        prepared = []
+        while len(prepared) < len(room.fragments):
+            assert pool.poll(0.1) == []
+            prepared += pool.take_prepared()
+        assert pool.take_prepared() == []
+    finally:
+        pool.close()
+    assert {each.fragment for each in prepared} == {each.id for each in room.fragments}
+    assert not any(each.warning for each in prepared)

@@ -13,7 +13,6 @@ from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import from_yaw, transform_points
 from nss_ros.registration.gravity.proposals import (
-    overlap_evidence,
     pair_evidence,
     proposed_pairs,
     sketch,
@@ -22,6 +21,10 @@ from nss_ros.registration.gravity.scan import WIDE_SIZE
 
 CONFIG = RegistrationConfig()
 BAG = Path(__file__).parents[2] / "bags" / "three_stages"
+
+
+def evidence(source, target):
+    return pair_evidence([(source, target)])[FragmentPair(source.id, target.id)]
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +48,17 @@ def test_the_same_place_has_more_evidence_than_any_other(fragments, sketches):
     for fragment, own in zip(fragments, sketches, strict=True):
         again = sketch(turned(fragment), CONFIG)
         others = [
-            overlap_evidence(each, again)
+            evidence(each, again)
             for each in sketches
             if each.id.stage == own.id.stage and each is not own
         ]
-        assert overlap_evidence(own, again) > max(others)
+        assert evidence(own, again) > max(others)
 
 
 def test_the_evidence_of_pairs_is_that_of_each(sketches):
     every = list(combinations(sorted(sketches, key=lambda each: each.id), 2))
     found = pair_evidence(every)
-    assert found == {FragmentPair(a.id, b.id): overlap_evidence(a, b) for a, b in every}
+    assert found == {FragmentPair(a.id, b.id): evidence(a, b) for a, b in every}
 
 
 @pytest.mark.parametrize(
@@ -79,8 +82,8 @@ def test_scans_that_reach_far_are_looked_at_on_wide_maps(fragments):
     far.points[1::2] += rng.normal(0, 0.05, far.points[1::2].shape).astype(np.float32)
     own, again = sketch(far, CONFIG), sketch(turned(far, 61), CONFIG)
     assert own.maps.shape[-1] == WIDE_SIZE // 4
-    others = [overlap_evidence(sketch(each, CONFIG), again) for each in fragments[1:]]
-    assert overlap_evidence(own, again) > max(others)
+    others = [evidence(sketch(each, CONFIG), again) for each in fragments[1:]]
+    assert evidence(own, again) > max(others)
 
 
 IDS = [FragmentId("1", stage, spot) for stage in (1, 2) for spot in range(6)]

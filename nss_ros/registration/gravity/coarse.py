@@ -6,6 +6,7 @@ Among the best twenty poses the right one is as often as among those of the fine
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -42,13 +43,45 @@ def coarse_scores(moving: Tensor, still: Tensor) -> Tensor:
     """
     size = fast_size(moving.shape[-1] + still.shape[-1])
     spectra = spectrum(as_target(still), size)
+    return torch.cat([correlate(part, spectra, size) for part in _turned(moving, size)])
+
+
+def turned_by_frequency(moving: Tensor, size: int) -> Tensor:
+    """Conjugate spectra of features (c, k, k) at all yaw angles, (frequencies, COARSE_YAWS, c).
+
+    Most of the work of `scores_of_many`, and the same for all targets of one size.
+
+    Args:
+        moving: pooled, as a source.
+        size: `fast_size` of the cells of both grids.
+    """
+    spectra = torch.cat(list(_turned(moving, size))).conj()
+    return spectra.flatten(2).permute(2, 0, 1).contiguous()
+
+
+def scores_of_many(turned: Tensor, stills: Tensor, size: int) -> Tensor:
+    """Scores (t, COARSE_YAWS, size, size) of a source on many targets: see `coarse_scores`.
+
+    Products of matrices instead of one of numbers after the other; sums differ in the last digits.
+
+    Args:
+        turned: see `turned_by_frequency`.
+        stills: (t, c, m, m) pooled, as sources; a target's scores are the same whatever the others,
+            as long as they are as many.
+        size: as that of `turned`.
+    """
+    spectra = torch.stack([spectrum(as_target(still), size) for still in stills])
+    products = torch.bmm(turned, spectra.flatten(2).permute(2, 1, 0).contiguous())
+    rows = products.permute(2, 1, 0).reshape(len(stills), COARSE_YAWS, size, size // 2 + 1)
+    scores: Tensor = torch.fft.irfft2(rows, s=(size, size))
+    return scores
+
+
+def _turned(moving: Tensor, size: int) -> Iterator[Tensor]:
+    """Spectra of features at all yaw angles, in parts."""
     yaws = torch.arange(COARSE_YAWS) * (2 * math.pi / COARSE_YAWS)
-    return torch.cat(
-        [
-            correlate(spectrum(rotated(moving, part), size), spectra, size)
-            for part in torch.split(yaws, _BATCH)
-        ]
-    )
+    for part in torch.split(yaws, _BATCH):
+        yield spectrum(rotated(moving, part), size)
 
 
 def shift_of_middles(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 import torch
@@ -17,15 +18,22 @@ from numpy.typing import NDArray
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.registration.gravity.coarse import POOL, coarse_scores, pooled
+from nss_ros.registration.gravity.coarse import (
+    POOL,
+    fast_size,
+    pooled,
+    scores_of_many,
+    turned_by_frequency,
+)
 from nss_ros.registration.gravity.method import feature_maps
 from nss_ros.registration.gravity.scan import fitting_scan_of
 from nss_ros.registration.gravity.weights import load_weights
-from nss_ros.registration.gravity.wide import evened
+from nss_ros.registration.gravity.wide import evening
 from nss_ros.standpoint import at_standpoint
 
 #: Pairs that a worker looks at in one call, a few seconds.
 PAIRS_PER_CALL = 64
+_AT_ONCE = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +53,7 @@ def sketch(fragment: Fragment, config: RegistrationConfig) -> Sketch | None:
     """A fragment's sketch; None if it is not levelled or has too few points."""
     if not fragment.gravity_aligned:
         return None
-    scan = fitting_scan_of(at_standpoint(fragment)[0], config)
+    scan = fitting_scan_of(at_standpoint(fragment, config.find_standpoints)[0], config)
     if len(scan.points) < config.min_points:
         return None
     network = load_weights(config.gravity.weights).network
@@ -53,34 +61,61 @@ def sketch(fragment: Fragment, config: RegistrationConfig) -> Sketch | None:
     return Sketch(fragment.id, np.asarray(pooled(maps).numpy(), dtype=np.float16))
 
 
-def overlap_evidence(source: Sketch, target: Sketch) -> float:
-    """Logarithm of the evidence that two fragments of one area overlap.
-
-    It can be compared among pairs of one stage, and among pairs of different stages.
-    """
-    kind = int(FragmentPair(source.id, target.id).same_stage)
-    with torch.inference_mode():
-        moving, still = (
-            torch.from_numpy(each.maps[kind].astype(np.float32)) for each in (source, target)
-        )
-        scores = coarse_scores(evened(moving, still, POOL), still).flatten()
-        return float(scores.logsumexp(dim=0)) - math.log(len(scores))
-
-
 def evidence_calls(
     pairs: Sequence[tuple[Sketch, Sketch]],
 ) -> list[Sequence[tuple[Sketch, Sketch]]]:
-    """Pairs, divided into calls of `pair_evidence` for worker processes."""
+    """Pairs, those of a source together, divided into calls of `pair_evidence` for workers."""
+    pairs = sorted(pairs, key=_alike)
     return [pairs[start : start + PAIRS_PER_CALL] for start in range(0, len(pairs), PAIRS_PER_CALL)]
 
 
 def pair_evidence(pairs: Sequence[tuple[Sketch, Sketch]]) -> dict[FragmentPair, float]:
-    """The evidence of pairs, each a source and a target."""
+    """Logarithm of the evidence that the source and the target of each pair overlap.
+
+    It can be compared among pairs of one stage, and among pairs of different stages. Pairs that
+    follow each other share what was made of their source.
+    """
     torch.set_num_threads(1)
-    return {
-        FragmentPair(source.id, target.id): overlap_evidence(source, target)
-        for source, target in pairs
-    }
+    evidence: dict[FragmentPair, float] = {}
+    with torch.inference_mode():
+        for (id_, same_stage, _), alike in groupby(pairs, key=_alike):
+            some = list(alike)
+            targets = [target for _, target in some]
+            found = _evidence(some[0][0], targets, int(same_stage))
+            evidence |= {
+                FragmentPair(id_, target.id): each
+                for target, each in zip(targets, found, strict=True)
+            }
+    return evidence
+
+
+def _evidence(source: Sketch, targets: Sequence[Sketch], kind: int) -> list[float]:
+    """The evidence of a source and each of some targets, whose maps are of one size."""
+    moving = _features(source, kind)
+    cells = targets[0].maps.shape[-1]
+    size = fast_size(moving.shape[-1] + cells)
+    factor = evening(moving.shape[-1] * POOL, cells * POOL)
+    turned = turned_by_frequency(moving, size)
+    found: list[float] = []
+    for start in range(0, len(targets), _AT_ONCE):
+        some = targets[start : start + _AT_ONCE]
+        # Always as many at once: a product of matrices may depend on their size.
+        stills = torch.zeros(_AT_ONCE, len(moving), cells, cells)
+        for still, target in zip(stills, some, strict=False):
+            still.copy_(_features(target, kind))
+        scores = scores_of_many(turned, stills, size)[: len(some)].flatten(1) * factor
+        found += (scores.logsumexp(dim=1) - math.log(scores.shape[1])).tolist()
+    return found
+
+
+def _alike(pair: tuple[Sketch, Sketch]) -> tuple[FragmentId, bool, int]:
+    """Pairs of which this is the same share what is made of their source."""
+    source, target = pair
+    return source.id, source.id.stage == target.id.stage, target.maps.shape[-1]
+
+
+def _features(of: Sketch, kind: int) -> torch.Tensor:
+    return torch.from_numpy(of.maps[kind].astype(np.float32))
 
 
 def proposed_pairs(
