@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -107,6 +108,8 @@ def _on_joblib(
 ) -> Iterator[Result]:
     how = "generator" if in_order else "generator_unordered"
     bound = partial(_bound_call, os.getpid(), call)
+    # Loky replaces a process whose memory grew, between two calls; nothing is lost.
+    warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
     with _worker_environment(), parallel_config("loky"):
         calls = Parallel(
             n_jobs=workers or os.cpu_count() or 1,

@@ -350,8 +350,9 @@ class PoseGraphNode(Node):
         return bool(self._waiting_for_optimum) or (self._quiet() and self._map.complete)
 
     def _due(self) -> bool:
-        # Long optimisations get longer pauses, so that they take a third of the time at most.
-        pause = max(self._config.update_period, 2 * self._solve_time)
+        # Long optimisations get longer pauses, so that they take an eighth of the time at most:
+        # what registers pairs on the same machine has better use for it.
+        pause = max(self._config.update_period, 7 * self._solve_time)
         rested = time.monotonic() - self._last_solve >= pause
         return self._outdated() and (self._quiet() or rested or bool(self._waiting_for_optimum))
 
