@@ -220,7 +220,10 @@ class PoseGraphConfig(MultiwayConfig):
         0.2,
         description="Most that the clouds of the map take while it changes, MB/s on average, so that large ones come seldom; of a settled map all come",
     )
-    update_period: Positive = Field(2.0, description="Least time between optimisations, seconds; after a long one seven times its own time")
+    update_period: Positive = Field(
+        2.0,
+        description="Least time between optimisations, seconds; after a long one seven times its own time",
+    )
     settle_time: Positive = Field(
         1.0, description="Quiet time after which the graph counts as settled, seconds"
     )
