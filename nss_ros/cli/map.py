@@ -91,10 +91,14 @@ def map_(
                 "placed": progress.placed,
                 "components": progress.components,
                 "rms_residual": progress.rms_residual,
+                "warnings": progress.warnings,
             }
         )
         return
-    Console().print(
+    console = Console()
+    for warning in progress.warnings:
+        console.print(warning, style="yellow", soft_wrap=True, highlight=False)
+    console.print(
         f"Placed {progress.placed} of {progress.fragments_total} fragments in the largest of "
         f"{progress.components} component(s), RMS residual {_metres(progress.rms_residual)}; "
         f"{progress.pairs_total} pairs, {progress.pairs_failed} without an answer that holds; "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,6 +18,8 @@ from nss_ros.errors import NodeError
 from nss_ros.nodes.spin import LAUNCHER_VARIABLE
 
 _STOP_TIMEOUT = 20.0
+# As rclpy prints it: level, time, name of the node.
+_WARNING = re.compile(r"^\[WARN\] \[[\d.]+\] \[[^\]]*\]: (.+)$", re.MULTILINE)
 
 
 @dataclass(slots=True)
@@ -37,6 +40,10 @@ class NodeProcess:
         """The last line that it printed."""
         lines = self.log.read_text(errors="replace").strip().splitlines()
         return lines[-1].removeprefix("error: ") if lines else "it printed nothing"
+
+    def warnings(self) -> list[str]:
+        """What it warned of."""
+        return _WARNING.findall(self.log.read_text(errors="replace"))
 
 
 class Launcher:
@@ -93,6 +100,10 @@ class Launcher:
                 else (f"ended with status {status}")
             )
             raise NodeError(f"Node {node.name} {how}: {node.last_words()} (all of it: {node.log})")
+
+    def warnings(self) -> list[str]:
+        """What the nodes warned of, each sentence once."""
+        return list(dict.fromkeys(each for node in self.nodes for each in node.warnings()))
 
     def stop(self) -> list[str]:
         """Interrupt the nodes in order of their start reversed, the first (recorder) last.

@@ -107,6 +107,7 @@ def _run(
         raise NodeError(
             f"Node {unclean[0]} did not stop cleanly: see {directory / unclean[0]}.log."
         )
+    progress.warnings = launcher.warnings()
     return progress
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -35,6 +35,7 @@ class Progress:
         rms_residual: metres; NaN without accepted edges.
         settled: the pose graph includes everything it received.
         decided: the registration node has received all fragments and will propose no more pairs.
+        warnings: of the nodes, when they have ended.
     """
 
     playing: bool = False
@@ -51,6 +52,7 @@ class Progress:
     settled: bool = False
     graph_answered: int = 0
     decided: bool = False
+    warnings: list[str] = field(default_factory=list)
 
     @property
     def complete(self) -> bool:

@@ -132,6 +132,22 @@ def test_useless_fragments_are_answered_and_left_out(tmp_path, room):
     assert status[room.fragments[0].id] is NodeStatus.PLACED
 
 
+def test_what_nodes_warn_of_is_told_when_the_run_has_ended(tmp_path, room):
+    """The foot of a tripod is not the place of its scanner."""
+    first, second = room.fragments[:2]
+    foot = Fragment(first.id, first.points + np.float32([0, 0, 1.4]), True)
+    pairs = [pair for pair in room.pairs if {pair.source, pair.target} == {first.id, second.id}]
+    warnings = {}
+    for name, fragment in (("sensor", first), ("foot", foot)):
+        write_bag(tmp_path / name, [fragment, second], pairs)
+        config = load_config(None, SETTINGS)
+        output = tmp_path / f"{name}_log"
+        warnings[name] = run_mapping([tmp_path / name], output, config, timeout=400).warnings
+    assert warnings["sensor"] == []
+    assert len(warnings["foot"]) == 1
+    assert str(first.id) in warnings["foot"][0]
+
+
 def test_a_bag_that_is_not_there_is_named_before_anything_starts(tmp_path):
     with pytest.raises(BagError, match="nowhere"):
         run_mapping([tmp_path / "nowhere"], tmp_path / "log", load_config())
