@@ -18,7 +18,11 @@ from nss_ros.errors import NodeError
 from nss_ros.nodes.spin import LAUNCHER_VARIABLE
 
 _STOP_TIMEOUT = 20.0
-# As rclpy prints it: level, time, name of the node.
+# How nodes print what they log, whatever the user has set, and what of it is a warning.
+_CONSOLE = {
+    "RCUTILS_CONSOLE_OUTPUT_FORMAT": "[{severity}] [{time}] [{name}]: {message}",
+    "RCUTILS_COLORIZED_OUTPUT": "0",
+}
 _WARNING = re.compile(r"^\[WARN\] \[[\d.]+\] \[[^\]]*\]: (.+)$", re.MULTILINE)
 
 
@@ -80,7 +84,12 @@ class Launcher:
                 stderr=output,
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,
-                env={**os.environ, "PYTHONUNBUFFERED": "1", LAUNCHER_VARIABLE: str(os.getpid())},
+                env={
+                    **os.environ,
+                    **_CONSOLE,
+                    "PYTHONUNBUFFERED": "1",
+                    LAUNCHER_VARIABLE: str(os.getpid()),
+                },
             )
         self.nodes.append(NodeProcess(name, process, log))
 

@@ -147,7 +147,9 @@ class Registration(Node):
         for preparation in self._pool.take_prepared():
             if preparation.warning:
                 self._moved += 1
-                self.get_logger().warning(f"{preparation.warning} Others may follow.", once=True)
+                self.get_logger().warning(
+                    f"{preparation.warning} Diagnostics count all such fragments.", once=True
+                )
 
     def _take_events(self) -> None:
         while True:

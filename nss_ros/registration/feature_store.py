@@ -84,7 +84,7 @@ class Preparation(NamedTuple):
         return (
             f"The origin of fragment {self.fragment} cannot be the place of its scanner, which is "
             f"taken to be ({x:.1f}, {y:.1f}, {z:.1f}) by what it saw. If origins are the scanner's "
-            "places, set find_standpoints to false."
+            "places, set find_standpoints of registration and pose_graph to false."
         )
 
 

@@ -91,3 +91,11 @@ def test_a_graph_of_standpoints_becomes_one_of_fragments(building, ids, moved):
         place = moved.get(id_, np.zeros(3))
         assert np.allclose(new, shift(FOOT) @ old @ shift(-place), atol=1e-9)
         assert np.linalg.eigvalsh(after[id_].covariance)[0] > -1e-9
+
+
+def test_origins_are_taken_for_standpoints_on_request(building, ids):
+    fragment = building.fragments[ids[0]]
+    lifted = Fragment(fragment.id, (fragment.points + FOOT).astype(np.float32), True)
+    for search in (True, False):
+        (prepared,) = prepared_by(MultiwayConfig(find_standpoints=search), [lifted]).values()
+        assert prepared.standpoint.any() == search

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +13,7 @@ from nss_ros.bag import read_log
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import from_yaw, transform_points
+from nss_ros.registration.gravity.coarse import coarse_scores
 from nss_ros.registration.gravity.proposals import (
     pair_evidence,
     proposed_pairs,
@@ -59,6 +61,26 @@ def test_the_evidence_of_pairs_is_that_of_each(sketches):
     every = list(combinations(sorted(sketches, key=lambda each: each.id), 2))
     found = pair_evidence(every)
     assert found == {FragmentPair(a.id, b.id): evidence(a, b) for a, b in every}
+
+
+def test_the_evidence_is_the_sum_of_the_scores_of_all_poses(sketches):
+    for source, target in [(sketches[0], sketches[1]), (sketches[0], sketches[-1])]:
+        kind = int(source.id.stage == target.id.stage)
+        scores = coarse_scores(
+            *(torch.from_numpy(each.maps[kind].astype(np.float32)) for each in (source, target))
+        ).flatten()
+        expected = float(scores.logsumexp(dim=0)) - np.log(len(scores))
+        assert evidence(source, target) == pytest.approx(expected, abs=1e-3)
+
+
+def test_a_sketch_is_seen_from_the_standpoint_or_from_the_origin(fragments, sketches):
+    lifted = Fragment(fragments[0].id, fragments[0].points + np.float32([0, 0, 1.6]), True)
+    trusting = RegistrationConfig(find_standpoints=False)
+    sensor, foot, origin = (
+        each.maps.astype(np.float32)
+        for each in (sketches[0], sketch(lifted, CONFIG), sketch(lifted, trusting))
+    )
+    assert np.abs(foot - sensor).mean() < 0.5 * np.abs(origin - sensor).mean()
 
 
 @pytest.mark.parametrize(
