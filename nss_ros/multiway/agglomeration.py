@@ -9,8 +9,8 @@ hypothesis agrees with it speaks for it, a pair that is sure of something else a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 
 import numpy as np
@@ -41,6 +41,9 @@ _MOST_LOOPS = 12
 _MOST_CANDIDATES = 40
 
 Array = NDArray[np.float64]
+#: What a transform from the frame of the second part to that of the first loses by what is seen
+#: there, logarithm of the odds.
+Loss = Callable[[Poses, Poses, Transform], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,10 +142,12 @@ class _Link:
     Attributes:
         odds: logarithm of the odds that it is right.
         transform: from the frame of the second part to that of the first.
+        seen: what is seen there has been taken from the odds.
     """
 
     odds: float
     transform: Transform
+    seen: bool = False
 
 
 def joined_parts(
@@ -151,6 +156,7 @@ def joined_parts(
     close: Closeness,
     least_odds: float = _LEAST_ODDS,
     known: Sequence[Poses] = (),
+    loss: Loss | None = None,
 ) -> list[Poses]:
     """Parts of the map, largest first, each with poses in a frame of its own.
 
@@ -163,10 +169,12 @@ def joined_parts(
         close: when two poses of a fragment agree.
         least_odds: logarithm of the odds of a link that is followed.
         known: parts that are joined already; what lies within them says nothing.
+        loss: of a link, looked at before it is followed.
     """
     joining = _Joining(fragments, [Ambiguous.of(m) for m in measurements], close, known)
     while (best := joining.best()) is not None and best[0] > least_odds:
-        joining.join(*best[1:])
+        if loss is None or joining.stands(*best, loss):
+            joining.join(*best[1:])
     return sorted(joining.parts.values(), key=lambda part: (-len(part), min(part)))
 
 
@@ -209,6 +217,19 @@ class _Joining:
                 return -odds, one, other
             heappop(self._queue)
         return None
+
+    def stands(self, odds: float, one: int, other: int, loss: Loss) -> bool:
+        """Whether the surest link loses nothing by what is seen; else it waits for its turn."""
+        link = self._links[one, other]
+        if link.seen:
+            return True
+        taken = loss(self.parts[one], self.parts[other], link.transform)
+        self._links[one, other] = replace(link, odds=odds - taken, seen=True)
+        if taken <= 0:
+            return True
+        heappop(self._queue)
+        heappush(self._queue, (taken - odds, one, other))
+        return False
 
     def join(self, one: int, other: int) -> None:
         """Make one part of two."""

@@ -8,6 +8,7 @@ of all that they saw, so pairs count that nobody asked for, and free space that 
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -25,9 +26,10 @@ from nss_ros.geometry import (
 )
 from nss_ros.icp import Surface, refine
 from nss_ros.multiway.agglomeration import Ambiguous, Votes
+from nss_ros.multiway.contradictions import loss_of_parts
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import SubmapFragment
-from nss_ros.registration.gravity.agreement import WallView, agreement
+from nss_ros.registration.gravity.agreement import agreement
 from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
 from nss_ros.registration.gravity.wide import evening
 
@@ -37,7 +39,7 @@ _VOXEL_SIZE = 0.1
 _SAME_FLOOR = 0.04
 _MOVED_POINTS = 1500
 # Poses that are scored, from the pairs and from the search; those that are aligned.
-_FROM_PAIRS, _FROM_SEARCH, _MOST_ALIGNED = 12, 20, 4
+_FROM_PAIRS, _FROM_SEARCH, _MOST_ALIGNED = 12, 20, 6
 _MOST_MARGIN = 10.0
 _ICP_DISTANCE, _ICP_ITERATIONS, _KERNEL, _DAMPING = 0.15, 8, 0.05, 0.005
 # An alignment that goes farther was carried away.
@@ -70,7 +72,7 @@ class Submap:
         moved: some of them.
         floor: height above which the slices of the features are, metres.
         cells: along each side of the features of a fragment, the median.
-        views: what the scanners of its fragments saw.
+        scans: its fragments.
     """
 
     poses: Poses
@@ -79,7 +81,7 @@ class Submap:
     moved: Surface
     floor: float
     cells: int
-    views: Mapping[FragmentId, WallView]
+    scans: Fragments
 
     @classmethod
     def of(cls, poses: Poses, fragments: Fragments) -> Submap:
@@ -104,9 +106,9 @@ class Submap:
         kept = _voxels(cloud)
         cloud, directions = cloud[kept], directions[kept]
         moved = Surface.sample(cloud, directions, _MOVED_POINTS)
-        views = {id_: fragments[id_].view for id_ in poses}
+        scans = {id_: fragments[id_] for id_ in poses}
         cells = int(np.median([fragments[id_].seen.shape[-1] for id_ in poses]))
-        return cls(poses, canvas, Surface.of(cloud, directions), moved, floor, cells, views)
+        return cls(poses, canvas, Surface.of(cloud, directions), moved, floor, cells, scans)
 
 
 def _on_floor(poses: Poses, fragments: Fragments, floor: float) -> dict[FragmentId, SubmapFragment]:
@@ -166,14 +168,15 @@ def register_submaps(
         candidates = [candidates[each] for each in np.flatnonzero(counts == obeyed)]
     scored = [(_score(source, target, each, votes, close), each) for each in candidates]
     scored.sort(key=lambda each: -each[0])
-    best = scored[0][0]
-    aligned = [
-        _aligned(source, target, transform, score, votes, close)
-        for score, transform in scored[:_MOST_ALIGNED]
-        if score > best - _MOST_MARGIN
-    ]
-    ranked = sorted((*aligned, *scored[len(aligned) :]), key=lambda each: -each[0])
-    apart = _apart(ranked, close)
+    aligned: list[tuple[float, Transform]] = []
+    while scored and len(aligned) < _MOST_ALIGNED:
+        score, transform = scored[0]
+        if aligned and score < max(best for best, _ in aligned) - _MOST_MARGIN:
+            break
+        aligned.append(_aligned(source, target, transform, score, votes, close))
+        del scored[0]
+    # What was not aligned is no better than what was.
+    apart = _apart([*sorted(aligned, key=lambda each: -each[0]), *scored], close)
     rivals = [_NOTHING, *(score for score, _ in apart[1:])]
     score, transform = apart[0]
     odds = np.inf if obeyed else score - float(np.logaddexp.reduce(rivals))
@@ -249,7 +252,7 @@ def _conflict(source: Submap, target: Submap, transform: Transform) -> float:
     free = shared = 0.0
     for _, id_, other in sorted(near)[:_MOST_VIEWS]:
         pair = relative(transform @ source.poses[id_], target.poses[other])
-        seen = agreement(source.views[id_], target.views[other], pair)
+        seen = agreement(source.scans[id_].view, target.scans[other].view, pair)
         free, shared = free + seen.free, shared + seen.shared
     return free / (free + shared) if free else 0.0
 
@@ -262,7 +265,10 @@ def _aligned(
     votes: Votes | None,
     close: Closeness,
 ) -> tuple[float, Transform]:
-    """The transform after ICP where that scores more, level again, with its score."""
+    """The transform after ICP where that scores more, level again, with its score.
+
+    Only now is it exact enough for contradictions to count.
+    """
     refined = refine(
         source.moved,
         target.surface,
@@ -281,7 +287,10 @@ def _aligned(
     )
     moved = relative(level, start)
     distance = np.linalg.norm(moved[:3, :3] @ middle + moved[:3, 3] - middle)
-    if distance > _MOST_TRANSLATION or rotation_angle(moved) > _MOST_ROTATION:
-        return score, start
-    again = _score(source, target, level, votes, close)
-    return (again, level) if again > score else (score, start)
+    best, place = score, start
+    if distance < _MOST_TRANSLATION and rotation_angle(moved) < _MOST_ROTATION:
+        again = _score(source, target, level, votes, close)
+        if again > score:
+            best, place = again, level
+    scans = ChainMap(dict(source.scans), dict(target.scans))
+    return best - loss_of_parts(target.poses, source.poses, place, scans), place

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, Points
 from nss_ros.geometry import Vector
-from nss_ros.registration.gravity.agreement import WallView
+from nss_ros.registration.gravity.agreement import SharpView, WallView
 from nss_ros.registration.gravity.method import feature_maps
 from nss_ros.registration.gravity.network import STRIDE, GravityNetwork
 from nss_ros.registration.gravity.raster import CELL, FREE, OCCUPIED, Raster, rasterize
@@ -33,6 +33,7 @@ class SubmapFragment:
         maps: (2, CHANNELS, h, w) float16, features for a pair of different stages and of one.
         seen: (h, w) float16, 0..1, how much of each cell its scanner saw.
         view: what its scanner saw, to tell whether what another of its stage saw can be there.
+        sharp: the same in more detail, for poses that are aligned.
         network: that made the features.
         standpoint: (3,) in the frame that the fragment came in, metres.
     """
@@ -43,8 +44,8 @@ class SubmapFragment:
     floor: float
     maps: NDArray[np.float16]
     seen: NDArray[np.float16]
-
     view: WallView
+    sharp: SharpView
     network: GravityNetwork
     standpoint: Vector
 
@@ -59,6 +60,7 @@ class SubmapFragment:
             feature_maps(network, scan.maps).astype(np.float16),
             _seen(scan.maps),
             WallView.of(scan.points, scan.normals),
+            SharpView.of(scan.points, scan.normals),
             network,
             standpoint,
         )

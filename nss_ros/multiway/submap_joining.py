@@ -10,14 +10,16 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from heapq import heapify, heappop, heappush
+from heapq import heappop, heappush
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from nss_ros.fragment import FragmentId
-from nss_ros.geometry import Transform, inverse
+from nss_ros.geometry import Transform, from_rotation, inverse
 from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
+from nss_ros.multiway.contradictions import loss_of_pair, loss_of_parts
 from nss_ros.multiway.pose_graph import Alternative, Measurement
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap import (
@@ -34,13 +36,16 @@ from nss_ros.registration.gravity.wide import evening
 
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
-_SURE_PAIRS, _LEAST_ODDS = 2.0, 0.0
+_SURE_PAIRS, _LEAST_ODDS = 3.0, 0.0
 # Submaps between which no pair was asked for may well not touch: logarithm of the odds of that,
 # at least. Fragments with less than this between their sensors, metres, tell how much they are;
 # of them a share is never asked for.
 _UNASKED, _BESIDE, _MOST_ASKED = 6.0, 2.5, 0.9
 # Links of small submaps are measured when no link of a larger one is left.
 _SMALL, _LATER = 3, -1000.0
+# Logarithm of the odds from which it counts more how large the submaps of a link are than how sure
+# it is.
+_SURE = 6.0
 
 
 def joined_submaps(
@@ -74,14 +79,18 @@ class Joining:
         close: Closeness,
     ) -> None:
         within = [_doubted(m, prepared) for m in measurements if m.pair.same_stage]
-        parts = joined_parts(fragments, within, close, _SURE_PAIRS)
+
+        def loss(one: Poses, other: Poses, transform: Transform) -> float:
+            return loss_of_parts(one, other, transform, prepared)
+
+        parts = joined_parts(fragments, within, close, _SURE_PAIRS, loss=loss)
         self._prepared, self._close = prepared, close
         self._asked = {frozenset((m.pair.source, m.pair.target)) for m in measurements}
-        self.submaps = {n: Submap.of(part, prepared) for n, part in enumerate(parts)}
+        self.submaps = {n: Submap.of(_levelled(part), prepared) for n, part in enumerate(parts)}
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
         # A link that was not measured yet, or before one of its submaps grew, has no transform.
         self._links: dict[tuple[int, int], SubmapLink | None] = {}
-        self._queue: list[tuple[float, int, int]] = []
+        self._queue: list[tuple[float, int, int, float]] = []
         self._add_pairs(measurements)
 
     def parts(self) -> list[Poses]:
@@ -96,13 +105,13 @@ class Joining:
 
     def _join_while_sure(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
         while self._queue:
-            odds, one, other = heappop(self._queue)
+            _, one, other, odds = heappop(self._queue)
             if one not in self.submaps or other not in self.submaps:
                 continue
             link = self._links[one, other]
             if link is None:
                 self._measure(one, other)
-            elif link.odds == -odds:
+            elif link.odds == odds:
                 if link.odds < _LEAST_ODDS:
                     return
                 yield link.odds, self.submaps[one], self.submaps[other], link
@@ -116,7 +125,7 @@ class Joining:
             if areas[0] == areas[1] and (one, other) not in self._links:
                 self._pairs[one][other], self._pairs[other][one] = [], []
                 self._links[one, other] = None
-                heappush(self._queue, (-np.inf, one, other))
+                self._wait(np.inf, one, other)
 
     def _add_pairs(self, measurements: Sequence[Measurement]) -> None:
         part = {id_: n for n, submap in self.submaps.items() for id_ in submap.poses}
@@ -130,13 +139,27 @@ class Joining:
             for other in beside:
                 if one < other:
                     self._links[one, other] = None
-                    self._queue.append((-self._guess(one, other), one, other))
-        heapify(self._queue)
+                    self._wait(self._guess(one, other), one, other)
+
+    def _wait(self, priority: float, one: int, other: int, odds: float = np.nan) -> None:
+        """Let a link wait for its turn, with its odds if it was measured."""
+        heappush(self._queue, (-priority, one, other, odds))
 
     def _guess(self, one: int, other: int) -> float:
         """Odds of a link that was not measured: those of large submaps are measured first."""
         sizes = [len(self.submaps[each].poses) for each in (one, other)]
         return np.inf if max(sizes) >= _SMALL else _LATER + sum(sizes)
+
+    def _priority(self, odds: float, one: int, other: int) -> float:
+        """What is joined first: of sure links those of the largest submaps, then the surest.
+
+        A small submap fits in several like rooms of another, and better in the right one of a
+        submap that has all of them.
+        """
+        if not _SURE < odds < np.inf:
+            return odds
+        sizes = [len(self.submaps[each].poses) for each in (one, other)]
+        return _SURE + sum(sizes) + odds * 1e-3
 
     def _measure(self, one: int, other: int) -> None:
         """The link that moves the second submap to the first."""
@@ -146,7 +169,7 @@ class Joining:
             silence = self._silence(self.submaps[one], self.submaps[other], link.T_target_source)
             link = replace(link, odds=link.odds - max(silence, _UNASKED))
         self._links[one, other] = link
-        heappush(self._queue, (-link.odds, one, other))
+        self._wait(self._priority(link.odds, one, other), one, other, link.odds)
 
     def _silence(self, target: Submap, source: Submap, T_target_source: Transform) -> float:
         """Logarithm of the odds that a pair would have been asked for, were this link right.
@@ -184,30 +207,36 @@ class Joining:
             key = (min(one, third), max(one, third))
             old = [each.odds for each in (known, self._links.get(key)) if each is not None]
             self._links[key] = None
-            heappush(self._queue, (-max(old, default=self._guess(*key)), *key))
+            odds = max(old, default=None)
+            priority = self._guess(*key) if odds is None else self._priority(odds, *key)
+            self._wait(priority, *key)
+
+
+def _levelled(part: Poses) -> Poses:
+    """A part in a frame whose z axis is the mean of those of its fragments.
+
+    That of one tripod is half a degree off, which at the other end of a floor is decimetres.
+    """
+    mean = np.mean([pose[:3, 2] for pose in part.values()], axis=0)
+    axis = np.cross(mean, (0.0, 0.0, 1.0))
+    sine = np.linalg.norm(axis)
+    if sine == 0:
+        return part
+    angle = np.arctan2(sine, mean[2])
+    level = from_rotation(Rotation.from_rotvec(axis / sine * angle), np.zeros(3))
+    return {id_: level @ pose for id_, pose in part.items()}
 
 
 def _doubted(m: Measurement, prepared: Fragments) -> Measurement:
-    """A measurement within a stage, its hypotheses less probable the more conflict they have.
-
-    Fragments of a Matterport see too little of each other for that: submaps are asked instead.
-    """
-    source, target = prepared[m.pair.source], prepared[m.pair.target]
-    if m.manual or evening(source.seen.shape[-1], target.seen.shape[-1]) == 1:
+    """A measurement within a stage, its hypotheses less probable the more conflict they have."""
+    if m.manual:
         return m
     first = Alternative(m.T_target_source, m.information, m.confidence)
     listed = (first, *m.alternatives)
-    conflicts = np.array(
-        [agreement(source.view, target.view, each.T_target_source).conflict for each in listed]
-    )
-    # People and glass are noise of every hypothesis.
-    noise = float(conflicts.min().clip(WIDE_NONE, NO_CONFLICT)) - WIDE_NONE
+    losses = _losses(m, [each.T_target_source for each in listed], prepared)
     ranked = [
-        replace(
-            each,
-            probability=each.probability * math.exp(-conflict_loss(conflict - noise, wide=True)),
-        )
-        for each, conflict in zip(listed, conflicts.tolist(), strict=True)
+        replace(each, probability=each.probability * math.exp(-loss))
+        for each, loss in zip(listed, losses, strict=True)
     ]
     best, *rest = sorted(ranked, key=lambda each: -each.probability)
     return replace(
@@ -217,6 +246,17 @@ def _doubted(m: Measurement, prepared: Fragments) -> Measurement:
         confidence=best.probability,
         alternatives=tuple(rest),
     )
+
+
+def _losses(m: Measurement, transforms: Sequence[Transform], prepared: Fragments) -> list[float]:
+    """What hypotheses lose by what their scanners saw, logarithm."""
+    source, target = prepared[m.pair.source], prepared[m.pair.target]
+    if evening(source.seen.shape[-1], target.seen.shape[-1]) == 1:
+        return [loss_of_pair(source, target, each) for each in transforms]
+    conflicts = [agreement(source.view, target.view, each).conflict for each in transforms]
+    # People and glass are noise of every hypothesis.
+    noise = float(np.clip(min(conflicts), WIDE_NONE, NO_CONFLICT)) - WIDE_NONE
+    return [conflict_loss(conflict - noise, wide=True) for conflict in conflicts]
 
 
 def _pairs_beside(some: Poses, others: Poses) -> list[tuple[FragmentId, FragmentId]]:

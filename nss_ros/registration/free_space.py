@@ -16,12 +16,12 @@ from scipy.ndimage import maximum_filter, minimum_filter
 
 from nss_ros.geometry import inverse, spherical
 
-_BIN = np.radians(2.0)
-_ROWS, _COLUMNS = 90, 180
-# A surface must lie this much before the measured one: sensor noise, voxels, tilt and thin parts.
-_MARGIN = 0.25
+# Size of a bin, degrees, and how much a surface must lie before the measured one: sensor noise,
+# voxels, tilt and thin parts.
+_BIN, _MARGIN = 2.0, 0.25
 
 Array = NDArray[np.float64]
+_Cells = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,42 +29,49 @@ class RangeImage:
     """How far a scanner at the origin saw in each direction.
 
     Attributes:
-        nearest: (90, 180) float64, metres, elevation by azimuth in bins of 2 deg; the least of a
-            bin and its neighbours, so that edges do no harm; infinite where nothing was measured.
+        nearest: (r, 2 r) float64, metres, elevation by azimuth in bins of 180 / r deg; the least
+            of a bin and its neighbours, so that edges do no harm; infinite where nothing was
+            measured.
         farthest: the same with the most of a bin and its neighbours; minus infinite where nothing
             was measured.
+        margin: how much nearer than that a point must be to lie in free space, or farther to be
+            hidden, metres.
     """
 
     nearest: Array
     farthest: Array
+    margin: float
 
     @classmethod
-    def of(cls, points: NDArray[np.floating]) -> RangeImage:
-        """The range image of a fragment's points (n, 3) in its sensor frame."""
-        rows, columns, distances = _directions(np.asarray(points, dtype=np.float64))
-        nearest = np.full((_ROWS, _COLUMNS), np.inf)
-        farthest = np.full((_ROWS, _COLUMNS), -np.inf)
-        np.minimum.at(nearest, (rows, columns), distances)
-        np.maximum.at(farthest, (rows, columns), distances)
+    def of(
+        cls, points: NDArray[np.floating], bin_size: float = _BIN, margin: float = _MARGIN
+    ) -> RangeImage:
+        """The range image of a fragment's points (n, 3) in its sensor frame; `bin_size` in deg."""
+        rows = round(180 / bin_size)
+        cells, distances = _directions(np.asarray(points, dtype=np.float64), rows)
+        nearest = np.full((rows, 2 * rows), np.inf)
+        farthest = np.full((rows, 2 * rows), -np.inf)
+        np.minimum.at(nearest, cells, distances)
+        np.maximum.at(farthest, cells, distances)
         mode = ("nearest", "wrap")
-        return cls(minimum_filter(nearest, 3, mode=mode), maximum_filter(farthest, 3, mode=mode))
+        return cls(
+            minimum_filter(nearest, 3, mode=mode), maximum_filter(farthest, 3, mode=mode), margin
+        )
 
     def empty(self, points: Array) -> NDArray[np.bool_]:
         """Whether each of points (..., 3) was seen to be empty, (...)."""
-        return self._emptiness(*_directions(points))
+        return self._emptiness(*_directions(points, len(self.nearest)))
 
     def compare(self, points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """How many of points (..., n, 3) lie in free space, and how many on a surface, (...)."""
-        rows, columns, distances = _directions(points)
-        free = self._emptiness(rows, columns, distances)
-        behind = distances > self.farthest[rows, columns] + _MARGIN
+        cells, distances = _directions(points, len(self.nearest))
+        free = self._emptiness(cells, distances)
+        behind = distances > self.farthest[cells] + self.margin
         return np.count_nonzero(free, axis=-1), np.count_nonzero(~free & ~behind, axis=-1)
 
-    def _emptiness(
-        self, rows: NDArray[np.intp], columns: NDArray[np.intp], distances: Array
-    ) -> NDArray[np.bool_]:
-        nearest = self.nearest[rows, columns]
-        return np.asarray(np.isfinite(nearest) & (distances < nearest - _MARGIN))
+    def _emptiness(self, cells: _Cells, distances: Array) -> NDArray[np.bool_]:
+        nearest = self.nearest[cells]
+        return np.asarray(np.isfinite(nearest) & (distances < nearest - self.margin))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +113,10 @@ def _moved(transforms: Array, points: Array) -> Array:
     return np.asarray(turned + transforms[:, None, :3, 3])
 
 
-def _directions(points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-    """Row and column of the range image, and distance, of points (..., 3)."""
+def _directions(points: Array, rows: int) -> tuple[_Cells, Array]:
+    """Row and column of a range image of so many rows, and distance, of points (..., 3)."""
     distances, azimuth, elevation = spherical(points)
-    columns = np.minimum((azimuth / _BIN).astype(np.intp), _COLUMNS - 1)
-    rows = np.minimum((elevation / _BIN).astype(np.intp), _ROWS - 1)
-    return rows, columns, distances
+    bin_size = np.pi / rows
+    row = np.minimum((elevation / bin_size).astype(np.intp), rows - 1)
+    column = np.minimum((azimuth / bin_size).astype(np.intp), 2 * rows - 1)
+    return (row, column), distances

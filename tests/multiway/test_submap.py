@@ -182,7 +182,7 @@ def test_joined_submaps_are_those_of_all_fragments(building, first, second):
     source, target = building.submap(second), building.submap(first)
     truth = relative(building.poses[second[0]], building.poses[first[0]])
     joined, whole = target.joined(source, truth, building.prepared), building.part(first + second)
-    assert joined.poses.keys() == joined.views.keys() == whole.keys()
+    assert joined.poses.keys() == joined.scans.keys() == whole.keys()
     for id_, pose in joined.poses.items():
         assert np.allclose(pose, whole[id_])
     all_ = Submap.of(whole, building.prepared)

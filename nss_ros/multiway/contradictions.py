@@ -1,0 +1,76 @@
+"""What fragments of one stage see of each other, where poses put them, speaks against the poses.
+
+Within a stage nothing moves. Where rooms are alike, pairs agree on a wrong one; but a thing that
+stands where another scanner saw that nothing is tells, also of fragments of which nobody asked for
+a pair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from nss_ros.fragment import FragmentId
+from nss_ros.geometry import Transform, relative
+from nss_ros.multiway.spanning_tree import Poses
+from nss_ros.multiway.submap_fragment import SubmapFragment
+from nss_ros.registration.gravity.agreement import contradiction
+from nss_ros.registration.gravity.wide import evening
+
+# What a contradiction takes, logarithm of the odds, and the share that is noise: of hypotheses of a
+# hospital whose wards are alike, with confidences above 0.8, half of the wrong ones have more than
+# 0.008, and three of 100 right ones more than 0.003.
+_WEIGHT, _NONE, _MOST = 250.0, 0.004, 6.0
+# The largest of many is noise more often.
+_LARGEST_NONE, _MOST_LARGEST = 0.008, 8.0
+# Pairs of fragments that are looked at, those nearest each other, metres.
+_MOST_PAIRS, _FARTHEST = 12, 6.0
+
+
+def loss_of_pair(source: SubmapFragment, target: SubmapFragment, transform: Transform) -> float:
+    """What a hypothesis within a stage loses, logarithm of the odds.
+
+    Args:
+        source: of the pair.
+        target: of the pair.
+        transform: `T_target_source`.
+    """
+    share = contradiction(source.sharp, target.sharp, transform).share
+    return min(_WEIGHT * max(share - _NONE, 0.0), _MOST)
+
+
+def loss_of_parts(
+    one: Poses, other: Poses, transform: Transform, fragments: Mapping[FragmentId, SubmapFragment]
+) -> float:
+    """What a link of two parts loses by the worst contradiction of fragments near each other.
+
+    Scans that reach far have a measure of their own, see `conflict_loss`, and lose nothing here.
+
+    Args:
+        one: a part.
+        other: another.
+        transform: from the frame of the other to that of the one.
+        fragments: all of them.
+    """
+    largest = 0.0
+    for source, target in _near(one, other, transform):
+        scans = fragments[source], fragments[target]
+        if evening(*(scan.seen.shape[-1] for scan in scans)) == 1:
+            pose = relative(transform @ other[source], one[target])
+            seen = contradiction(scans[0].sharp, scans[1].sharp, pose)
+            largest = max(largest, seen.share)
+    return min(_WEIGHT * max(largest - _LARGEST_NONE, 0.0), _MOST_LARGEST)
+
+
+def _near(one: Poses, other: Poses, transform: Transform) -> list[tuple[FragmentId, FragmentId]]:
+    """Fragments of the other part and of the one, of one stage, that are nearest each other."""
+    ids, others = list(one), list(other)
+    places = np.array([one[id_][:2, 3] for id_ in ids])
+    moved = np.array([(transform @ other[id_])[:2, 3] for id_ in others])
+    distances = np.linalg.norm(moved[:, None] - places, axis=2)
+    stages = np.array([id_.stage for id_ in ids])
+    distances[np.array([id_.stage for id_ in others])[:, None] != stages] = np.inf
+    nearest = np.argsort(distances, axis=None, kind="stable")[:_MOST_PAIRS]
+    found = [np.unravel_index(each, distances.shape) for each in nearest]
+    return [(others[i], ids[k]) for i, k in found if distances[i, k] < _FARTHEST]
