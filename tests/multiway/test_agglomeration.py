@@ -259,3 +259,25 @@ def test_links_that_are_not_sure_enough_are_not_followed(poses):
         for least_odds in (-4.0, 2.0, 3.0)
     ]
     assert sizes == [2, 2, 1]
+
+
+def test_a_link_is_looked_at_once_before_it_is_followed(poses):
+    """What is seen there is taken from its odds; with what is left it waits for its turn."""
+    first, second, third = sorted(poses)[:3]
+    sure, less = (
+        measured(poses, pair, p) for pair, p in (((first, second), 0.9), ((second, third), 0.5))
+    )
+    order = []
+
+    def loss(one, other, transform):
+        assert np.allclose(transform[3], (0, 0, 0, 1))
+        order.append({*one, *other})
+        return 3.0 if order[-1] == {first, second} else 0.0
+
+    (part, *alone) = joined_parts([first, second, third], [sure, less], CLOSE, -4.0, loss=loss)
+    assert part.keys() == {first, second, third}
+    assert not alone
+    # The surest is looked at first, then the other, which is now the surest; then what they make.
+    assert order == [{first, second}, {second, third}, {first, second, third}]
+    parts = joined_parts([first, second], [sure], CLOSE, 0.0, loss=loss)
+    assert [len(part) for part in parts] == [1, 1]

@@ -175,3 +175,24 @@ def test_stages_of_like_dwellings_are_joined_where_no_pair_between_stages_was_as
     within = [m for m in measurements if m.pair.same_stage]
     parts = joined_submaps(prepared, within, prepared, CLOSE)
     assert {id_.stage for id_ in parts[0]} == {1, 2}
+
+
+def test_submaps_are_levelled_by_all_their_tripods(building, ids, pairs):
+    """Whatever the frame of the first fragment, which a tripod tilts."""
+    joining = Joining(ids, [building.right(p) for p in pairs], building.prepared, CLOSE)
+    large = [submap.poses for submap in joining.submaps.values() if len(submap.poses) > 2]
+    assert large
+    for poses in large:
+        up = np.mean([pose[:3, 2] for pose in poses.values()], axis=0)
+        assert np.allclose(up[:2], 0, atol=1e-9)
+        assert building.worst(poses)[1] < 0.1
+
+
+def test_of_sure_links_those_of_large_submaps_come_first(building, ids, pairs):
+    joining = Joining(ids, [building.right(p) for p in pairs], building.prepared, CLOSE)
+    one, other = sorted(joining.submaps, key=lambda n: -len(joining.submaps[n].poses))[:2]
+    size = len(joining.submaps[one].poses)
+    assert joining._priority(7.0, one, other) > size
+    assert joining._priority(3.0, one, other) == 3.0
+    assert joining._priority(np.inf, one, other) == np.inf
+    assert joining._priority(20.0, one, other) > joining._priority(7.0, one, other)
