@@ -8,7 +8,6 @@ of all that they saw, so pairs count that nobody asked for, and free space that 
 
 from __future__ import annotations
 
-from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -146,7 +145,11 @@ class SubmapLink:
 
 
 def register_submaps(
-    source: Submap, target: Submap, pairs: Sequence[Ambiguous], close: Closeness
+    source: Submap,
+    target: Submap,
+    pairs: Sequence[Ambiguous],
+    close: Closeness,
+    noise: float = 0.0,
 ) -> SubmapLink:
     """The best transform between two submaps.
 
@@ -155,9 +158,10 @@ def register_submaps(
         target: another.
         pairs: with a fragment in each, may be none.
         close: when two transforms agree.
+        noise: of contradictions, see `noise_of`.
     """
     if len(source.poses) > len(target.poses):
-        link = register_submaps(target, source, pairs, close)
+        link = register_submaps(target, source, pairs, close, noise)
         return SubmapLink(link.odds, inverse(link.T_target_source))
     votes = Votes.of(target.poses, source.poses, pairs) if pairs else None
     candidates = _candidates(source, target, votes, close)
@@ -168,12 +172,15 @@ def register_submaps(
         candidates = [candidates[each] for each in np.flatnonzero(counts == obeyed)]
     scored = [(_score(source, target, each, votes, close), each) for each in candidates]
     scored.sort(key=lambda each: -each[0])
+    scans = {**source.scans, **target.scans}
     aligned: list[tuple[float, Transform]] = []
     while scored and len(aligned) < _MOST_ALIGNED:
         score, transform = scored[0]
         if aligned and score < max(best for best, _ in aligned) - _MOST_MARGIN:
             break
-        aligned.append(_aligned(source, target, transform, score, votes, close))
+        score, transform = _aligned(source, target, transform, score, votes, close)
+        loss = loss_of_parts(target.poses, source.poses, transform, scans, noise)
+        aligned.append((score - loss, transform))
         del scored[0]
     # What was not aligned is no better than what was.
     apart = _apart([*sorted(aligned, key=lambda each: -each[0]), *scored], close)
@@ -265,10 +272,7 @@ def _aligned(
     votes: Votes | None,
     close: Closeness,
 ) -> tuple[float, Transform]:
-    """The transform after ICP where that scores more, level again, with its score.
-
-    Only now is it exact enough for contradictions to count.
-    """
+    """The transform after ICP where that scores more, level again, with its score."""
     refined = refine(
         source.moved,
         target.surface,
@@ -287,10 +291,7 @@ def _aligned(
     )
     moved = relative(level, start)
     distance = np.linalg.norm(moved[:3, :3] @ middle + moved[:3, 3] - middle)
-    best, place = score, start
-    if distance < _MOST_TRANSLATION and rotation_angle(moved) < _MOST_ROTATION:
-        again = _score(source, target, level, votes, close)
-        if again > score:
-            best, place = again, level
-    scans = ChainMap(dict(source.scans), dict(target.scans))
-    return best - loss_of_parts(target.poses, source.poses, place, scans), place
+    if distance > _MOST_TRANSLATION or rotation_angle(moved) > _MOST_ROTATION:
+        return score, start
+    again = _score(source, target, level, votes, close)
+    return (again, level) if again > score else (score, start)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, from_rotation, inverse
 from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
-from nss_ros.multiway.contradictions import loss_of_pair, loss_of_parts
+from nss_ros.multiway.contradictions import are_usual, loss_of_pair, loss_of_parts, noise_of
 from nss_ros.multiway.pose_graph import Alternative, Measurement
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap import (
@@ -32,7 +32,6 @@ from nss_ros.multiway.submap import (
     register_submaps,
 )
 from nss_ros.registration.gravity.agreement import agreement
-from nss_ros.registration.gravity.wide import evening
 
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
@@ -43,6 +42,8 @@ _SURE_PAIRS, _LEAST_ODDS = 3.0, 0.0
 _UNASKED, _BESIDE, _MOST_ASKED = 6.0, 2.5, 0.9
 # Links of small submaps are measured when no link of a larger one is left.
 _SMALL, _LATER = 3, -1000.0
+# Pairs within a stage that are this probable tell what is noise of what scanners see.
+_PROBABLE = 0.8
 # Logarithm of the odds from which it counts more how large the submaps of a link are than how sure
 # it is.
 _SURE = 6.0
@@ -78,10 +79,11 @@ class Joining:
         prepared: Fragments,
         close: Closeness,
     ) -> None:
-        within = [_doubted(m, prepared) for m in measurements if m.pair.same_stage]
+        self._noise = _noise(measurements, prepared)
+        within = [_doubted(m, prepared, self._noise) for m in measurements if m.pair.same_stage]
 
         def loss(one: Poses, other: Poses, transform: Transform) -> float:
-            return loss_of_parts(one, other, transform, prepared)
+            return loss_of_parts(one, other, transform, prepared, self._noise)
 
         parts = joined_parts(fragments, within, close, _SURE_PAIRS, loss=loss)
         self._prepared, self._close = prepared, close
@@ -164,7 +166,9 @@ class Joining:
     def _measure(self, one: int, other: int) -> None:
         """The link that moves the second submap to the first."""
         pairs = self._pairs[one][other]
-        link = register_submaps(self.submaps[other], self.submaps[one], pairs, self._close)
+        link = register_submaps(
+            self.submaps[other], self.submaps[one], pairs, self._close, self._noise
+        )
         if not pairs:
             silence = self._silence(self.submaps[one], self.submaps[other], link.T_target_source)
             link = replace(link, odds=link.odds - max(silence, _UNASKED))
@@ -227,13 +231,24 @@ def _levelled(part: Poses) -> Poses:
     return {id_: level @ pose for id_, pose in part.items()}
 
 
-def _doubted(m: Measurement, prepared: Fragments) -> Measurement:
+def _noise(measurements: Sequence[Measurement], prepared: Fragments) -> float:
+    """What probable pairs of one stage have of contradictions."""
+    probable = [m for m in measurements if m.pair.same_stage and m.confidence > _PROBABLE]
+    scans = [(prepared[m.pair.source], prepared[m.pair.target]) for m in probable]
+    return noise_of(
+        (*both, m.T_target_source)
+        for m, both in zip(probable, scans, strict=True)
+        if are_usual(*both) and not m.manual
+    )
+
+
+def _doubted(m: Measurement, prepared: Fragments, noise: float) -> Measurement:
     """A measurement within a stage, its hypotheses less probable the more conflict they have."""
     if m.manual:
         return m
     first = Alternative(m.T_target_source, m.information, m.confidence)
     listed = (first, *m.alternatives)
-    losses = _losses(m, [each.T_target_source for each in listed], prepared)
+    losses = _losses(m, [each.T_target_source for each in listed], prepared, noise)
     ranked = [
         replace(each, probability=each.probability * math.exp(-loss))
         for each, loss in zip(listed, losses, strict=True)
@@ -248,11 +263,13 @@ def _doubted(m: Measurement, prepared: Fragments) -> Measurement:
     )
 
 
-def _losses(m: Measurement, transforms: Sequence[Transform], prepared: Fragments) -> list[float]:
+def _losses(
+    m: Measurement, transforms: Sequence[Transform], prepared: Fragments, noise: float
+) -> list[float]:
     """What hypotheses lose by what their scanners saw, logarithm."""
     source, target = prepared[m.pair.source], prepared[m.pair.target]
-    if evening(source.seen.shape[-1], target.seen.shape[-1]) == 1:
-        return [loss_of_pair(source, target, each) for each in transforms]
+    if are_usual(source, target):
+        return [loss_of_pair(source, target, each, noise) for each in transforms]
     conflicts = [agreement(source.view, target.view, each).conflict for each in transforms]
     # People and glass are noise of every hypothesis.
     noise = float(np.clip(min(conflicts), WIDE_NONE, NO_CONFLICT)) - WIDE_NONE

@@ -1,10 +1,16 @@
 """What fragments of one stage see of each other, by the bundled bag: right and wrong places."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from nss_ros.config import MultiwayConfig
 from nss_ros.geometry import from_yaw, inverse
-from nss_ros.multiway.contradictions import loss_of_pair, loss_of_parts
+from nss_ros.multiway.contradictions import loss_of_pair, loss_of_parts, noise_of
+from nss_ros.multiway.solver import prepared_by
+from nss_ros.multiway.spanning_tree import Closeness
+from nss_ros.multiway.submap_joining import joined_submaps
 
 
 @pytest.fixture(scope="module")
@@ -62,3 +68,59 @@ def test_what_is_far_apart_or_of_other_stages_loses_nothing(building, ids):
     assert loss_of_parts(one, other, from_yaw(0, (40, 0, 0)), building.prepared) == 0
     later = building.part(building.spots(2, 4, 5, 6))
     assert loss_of_parts(one, later, np.eye(4), building.prepared) == 0
+
+
+def test_of_usual_scans_nothing_is_noise(building):
+    pairs = [pair for pair in building.pairs if pair.same_stage]
+    prepared = building.prepared
+    assert noise_of((prepared[p.source], prepared[p.target], building.truth(p)) for p in pairs) == 0
+    assert noise_of([]) == 0
+
+
+def test_noise_is_not_held_against_a_place(building, ids):
+    one, other, truth = halves(building, ids)
+    wrong = truth @ from_yaw(np.pi, (0, 0, 0))
+    losses = [loss_of_parts(one, other, wrong, building.prepared, n) for n in (0, 0.002, 0.2)]
+    assert losses == sorted(losses, reverse=True)
+    assert losses[-1] == 0
+    pair = next(pair for pair in building.pairs if pair.same_stage)
+    scans = building.prepared[pair.source], building.prepared[pair.target]
+    assert loss_of_pair(*scans, np.eye(4), 0.5) == 0
+
+
+def with_people(fragment, rng, count=4):
+    """The fragment with people about its scanner, and without what they hide."""
+    points = fragment.points.astype(np.float64)
+    floor = np.percentile(points[:, 2], 2)
+    for _ in range(count):
+        distance, angle = rng.uniform(1.2, 3.5), rng.uniform(-np.pi, np.pi)
+        far = np.hypot(points[:, 0], points[:, 1])
+        beside = np.angle(np.exp(1j * (np.arctan2(points[:, 1], points[:, 0]) - angle)))
+        hidden = (far > distance) & (np.abs(beside) < np.arctan(0.25 / distance))
+        hidden &= points[:, 2] * distance / far < floor + 1.75
+        around = angle + np.pi + rng.uniform(-np.pi / 2, np.pi / 2, 1500)
+        person = np.column_stack(
+            (
+                distance * np.cos(angle) + 0.25 * np.cos(around),
+                distance * np.sin(angle) + 0.25 * np.sin(around),
+                floor + rng.uniform(0, 1.75, 1500),
+            )
+        )
+        points = np.vstack((points[~hidden], person))
+    return replace(fragment, points=points.astype(np.float32))
+
+
+def test_people_about_each_scanner_do_not_keep_a_stage_apart(building, ids):
+    """Each of them stands where the other scans saw that nothing is."""
+    rng = np.random.default_rng(5)
+    crowded = [with_people(building.fragments[id_], rng) for id_ in ids]
+    prepared = prepared_by(MultiwayConfig(), crowded)
+    pairs = building.asked(ids)
+    placed = [(prepared[p.source], prepared[p.target], building.truth(p)) for p in pairs]
+    noise = noise_of(placed)
+    one, other, truth = halves(building, ids)
+    assert loss_of_parts(one, other, truth, prepared) > 4
+    assert loss_of_parts(one, other, truth, prepared, noise) < 0.5
+    close = Closeness(0.4, np.radians(6))
+    (part,) = joined_submaps(ids, [building.right(p) for p in pairs], prepared, close)
+    assert building.worst(part)[0] < 0.1
