@@ -55,7 +55,10 @@ class Surface:
     ) -> Surface:
         """A surface of points (n, 3) and unit normals (n, 3)."""
         array = np.asarray(points, dtype=np.float64)
-        return cls(array, np.asarray(normals, dtype=np.float64), cKDTree(array), oriented)
+        # Of points that are spread evenly a tree by halves of space is as deep as a balanced one,
+        # and made a third faster.
+        tree = cKDTree(array, balanced_tree=False)
+        return cls(array, np.asarray(normals, dtype=np.float64), tree, oriented)
 
     @classmethod
     def sample(
