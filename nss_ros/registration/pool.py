@@ -94,10 +94,9 @@ class RegistrationPool:
             return []
         done, _ = wait(self._running, timeout, FIRST_COMPLETED)
         results = []
-        for future in done:
-            task = self._running.pop(future, None)
-            if task is None:
-                continue
+        # Those that end together come in the order in which they were begun, not in that of a set.
+        for future in [each for each in self._running if each in done]:
+            task = self._running.pop(future)
             try:
                 result = future.result()
             except BrokenProcessPool:
