@@ -14,8 +14,7 @@ from nss_ros.icp import Surface, moved_by
 from nss_ros.multiway.measurement import information
 from nss_ros.multiway.pose_graph import Measurement
 from nss_ros.multiway.spanning_tree import Poses, components
-from nss_ros.multiway.submap import Fragments
-from nss_ros.multiway.submap_fragment import farthest
+from nss_ros.multiway.submap_fragment import Fragments, farthest
 from nss_ros.registration.gravity.refinement import COARSE_POINTS, refined_near
 
 _LEAST_OVERLAP = 0.2

@@ -7,14 +7,14 @@ a pair.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, relative
 from nss_ros.multiway.spanning_tree import Poses
-from nss_ros.multiway.submap_fragment import SubmapFragment
+from nss_ros.multiway.submap_fragment import Fragments, SubmapFragment
 from nss_ros.registration.gravity.agreement import contradiction
 from nss_ros.registration.gravity.wide import evening
 
@@ -63,7 +63,7 @@ def loss_of_parts(
     one: Poses,
     other: Poses,
     transform: Transform,
-    fragments: Mapping[FragmentId, SubmapFragment],
+    fragments: Fragments,
     noise: float = 0.0,
 ) -> float:
     """What a link of two parts loses by the worst contradiction of fragments near each other.

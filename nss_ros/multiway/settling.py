@@ -18,8 +18,7 @@ from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, relative, rotation_angle, transform_points
 from nss_ros.icp import Surface, moved_by, refine
 from nss_ros.multiway.spanning_tree import Poses
-from nss_ros.multiway.submap import Fragments
-from nss_ros.multiway.submap_fragment import farthest
+from nss_ros.multiway.submap_fragment import Fragments, farthest
 
 _ROUNDS = 3
 # Fragments around one that are looked at, the nearest, and which of their points, each so many:

@@ -8,7 +8,7 @@ of all that they saw, so pairs count that nobody asked for, and free space that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +27,7 @@ from nss_ros.icp import Surface, refine
 from nss_ros.multiway.agglomeration import Ambiguous, Votes
 from nss_ros.multiway.contradictions import loss_of_parts
 from nss_ros.multiway.spanning_tree import Closeness, Poses
-from nss_ros.multiway.submap_fragment import SubmapFragment
+from nss_ros.multiway.submap_fragment import Fragments, SubmapFragment
 from nss_ros.registration.gravity.agreement import agreement
 from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
 from nss_ros.registration.gravity.wide import evening
@@ -56,8 +56,6 @@ _CONFLICT_WEIGHT, NO_CONFLICT = 150.0, 0.02
 _MOST_VIEWS, _VIEW_DISTANCE = 6, 6.0
 # Scans that reach far see more of each other, so that a wrong place is a smaller share of it.
 _WIDE_WEIGHT, WIDE_NONE = 600.0, 0.005
-
-Fragments = Mapping[FragmentId, SubmapFragment]
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +180,7 @@ def register_submaps(
         loss = loss_of_parts(target.poses, source.poses, transform, scans, noise)
         aligned.append((score - loss, transform))
         del scored[0]
-    # What was not aligned is no better than what was.
+    # What was not aligned is a rival only, whatever its score.
     apart = _apart([*sorted(aligned, key=lambda each: -each[0]), *scored], close)
     rivals = [_NOTHING, *(score for score, _ in apart[1:])]
     score, transform = apart[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,6 +80,9 @@ class SubmapFragment:
         maps = rasterize(self.points, self.normals, height, cells)
         features = feature_maps(self.network, maps).astype(np.float16)
         return replace(self, floor=height, maps=features, seen=_seen(maps))
+
+
+Fragments = Mapping[FragmentId, SubmapFragment]
 
 
 def farthest(one: SubmapFragment, other: SubmapFragment) -> float:

@@ -25,12 +25,12 @@ from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap import (
     NO_CONFLICT,
     WIDE_NONE,
-    Fragments,
     Submap,
     SubmapLink,
     conflict_loss,
     register_submaps,
 )
+from nss_ros.multiway.submap_fragment import Fragments
 from nss_ros.registration.gravity.agreement import agreement
 
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
@@ -272,8 +272,8 @@ def _losses(
         return [loss_of_pair(source, target, each, noise) for each in transforms]
     conflicts = [agreement(source.view, target.view, each).conflict for each in transforms]
     # People and glass are noise of every hypothesis.
-    noise = float(np.clip(min(conflicts), WIDE_NONE, NO_CONFLICT)) - WIDE_NONE
-    return [conflict_loss(conflict - noise, wide=True) for conflict in conflicts]
+    every = float(np.clip(min(conflicts), WIDE_NONE, NO_CONFLICT)) - WIDE_NONE
+    return [conflict_loss(conflict - every, wide=True) for conflict in conflicts]
 
 
 def _pairs_beside(some: Poses, others: Poses) -> list[tuple[FragmentId, FragmentId]]:

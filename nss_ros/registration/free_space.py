@@ -62,12 +62,17 @@ class RangeImage:
         """Whether each of points (..., 3) was seen to be empty, (...)."""
         return self._emptiness(*_directions(points, len(self.nearest)))
 
-    def compare(self, points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """How many of points (..., n, 3) lie in free space, and how many on a surface, (...)."""
+    def look(self, points: Array) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which of points (..., 3) lie in free space, and which on a surface, each (...)."""
         cells, distances = _directions(points, len(self.nearest))
         free = self._emptiness(cells, distances)
         behind = distances > self.farthest[cells] + self.margin
-        return np.count_nonzero(free, axis=-1), np.count_nonzero(~free & ~behind, axis=-1)
+        return free, ~free & ~behind
+
+    def compare(self, points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """How many of points (..., n, 3) lie in free space, and how many on a surface, (...)."""
+        free, shared = self.look(points)
+        return np.count_nonzero(free, axis=-1), np.count_nonzero(shared, axis=-1)
 
     def _emptiness(self, cells: _Cells, distances: Array) -> NDArray[np.bool_]:
         nearest = self.nearest[cells]

@@ -124,15 +124,11 @@ def contradiction(
 def _things(one: SharpView, other: SharpView, T_other_one: Transform) -> Contradiction:
     """What of one fragment the other scanner should have seen, and did not."""
     moved = moved_by(T_other_one, one.view.walls)
-    free, shared = other.view.image.compare(moved)
-    empty = np.flatnonzero(other.view.image.empty(moved))
-    solid = 0
-    if len(empty) > _LEAST_NEAR:
-        near = _near(one.view.walls[empty])
-        least = np.maximum(_LEAST_SHARE * one.near[empty], _LEAST_NEAR)
-        solid = int(np.count_nonzero(near >= least))
+    free, shared = other.view.image.look(moved)
+    near = _near(one.view.walls[free])
+    solid = near >= np.maximum(_LEAST_SHARE * one.near[free], _LEAST_NEAR)
     count = 2 * max(len(moved), 1)
-    return Contradiction(solid / count, int(free) / count, int(shared) / count)
+    return Contradiction(*(float(each.sum()) / count for each in (solid, free, shared)))
 
 
 def _near(points: Array) -> NDArray[np.intp]:
