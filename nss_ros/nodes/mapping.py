@@ -91,7 +91,7 @@ def _run(
     report: Callable[[Progress], None],
 ) -> Progress:
     lock = _only_run(namespace)
-    monitor = Monitor(namespace)
+    monitor = Monitor(namespace, registration_nodes)
     launcher = Launcher(namespace, directory)
     try:
         monitor.spin(_DISCOVERY)

@@ -34,7 +34,7 @@ class Progress:
         components: of the placed fragments.
         rms_residual: metres; NaN without accepted edges.
         settled: the pose graph includes everything it received.
-        decided: the registration node has received all fragments and will propose no more pairs.
+        decided: every registration node has received all fragments and will propose no more pairs.
         warnings: of the nodes, when they have ended.
     """
 
@@ -71,10 +71,13 @@ class Monitor:
 
     Args:
         namespace: of the graph.
+        registration_nodes: that share the pairs. A node that was not heard yet may still propose
+            some.
     """
 
-    def __init__(self, namespace: str) -> None:
+    def __init__(self, namespace: str, registration_nodes: int = 1) -> None:
         self.progress = Progress()
+        self._registration_nodes = registration_nodes
         self._answered: set[tuple[str, str]] = set()
         self._pairs_in_bags = 0
         # What each registration node says of itself.
@@ -144,7 +147,7 @@ class Monitor:
     def _count_pairs(self) -> None:
         nodes = self._registration.values()
         self.progress.pairs_total = self._pairs_in_bags + sum(node["proposed"] for node in nodes)
-        self.progress.decided = bool(nodes) and all(
+        self.progress.decided = len(nodes) >= self._registration_nodes and all(
             node["fragments"] >= self.progress.fragments_total and node["undecided"] == 0
             for node in nodes
         )

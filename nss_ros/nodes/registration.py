@@ -120,18 +120,22 @@ class Registration(Node):
 
     def _health(self) -> Health:
         open_pairs = len(self._asked - self._answered)
+        # Read in this order while another thread counts: a fragment that is counted is undecided
+        # before, and its pairs are counted before it is decided.
+        fragments = len(self._fragments)
+        undecided = self._proposer.undecided
         values = {
             "method": self._config.method,
-            "fragments": len(self._fragments),
+            "fragments": fragments,
             "pairs": len(self._asked),
             "pairs_open": open_pairs,
             "failures": self._failures,
             "proposed": self._proposer.proposed,
-            "undecided": self._proposer.undecided,
+            "undecided": undecided,
             "origins_not_at_scanner": self._moved,
         }
-        if self._proposer.undecided:
-            return True, f"{self._proposer.undecided} fragments wait for pairs", values
+        if undecided:
+            return True, f"{undecided} fragments wait for pairs", values
         return True, f"{open_pairs} pairs open" if open_pairs else "idle", values
 
     def _work(self) -> None:
@@ -171,8 +175,8 @@ class Registration(Node):
                 f"Fragment {fragment.id} came again, as others may: the first is kept.", once=True
             )
             return
-        self._fragments.add(fragment.id)
         self._proposer.add_fragment(fragment.id, self._pool.add_fragment(fragment))
+        self._fragments.add(fragment.id)
         ready = [pair for pair in self._incomplete if self._complete(pair)]
         self._incomplete = [pair for pair in self._incomplete if not self._complete(pair)]
         for pair in ready:

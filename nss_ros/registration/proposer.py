@@ -36,7 +36,7 @@ class _Round:
 
 
 class Proposer:
-    """Proposes pairs. Used by one thread.
+    """Proposes pairs. Used by one thread; others may read `undecided`, then `proposed`.
 
     Args:
         proposals: when, and how many.
@@ -145,9 +145,12 @@ class Proposer:
         evidence = {
             pair: value for each in round_.evidence for pair, value in each.result().items()
         }
+        chosen = self._chosen(round_.newcomers, evidence)
+        # Last: who watches from another thread must not see a fragment decided and its pairs not
+        # counted, and take the work for done.
         self._undecided -= set(round_.newcomers)
         self.close()
-        return self._chosen(round_.newcomers, evidence)
+        return chosen
 
     def _compare(self, round_: _Round) -> None:
         """Begin to look at all pairs of the round's fragments."""

@@ -1,6 +1,7 @@
 """Pairs for fragments that nobody asks for, by real workers on a part of the bundled bag."""
 
 import pickle
+import threading
 import time
 from pathlib import Path
 
@@ -61,6 +62,27 @@ def test_a_round_gives_the_pairs_with_the_most_evidence(proposer, add, fragments
     assert found == proposed_pairs(pair_evidence(every), 1, 1)
     assert proposer.proposed == len(found)
     assert proposer.undecided == 0
+
+
+def test_a_fragment_counts_as_decided_only_when_its_pairs_are_counted(proposer, add, fragments):
+    """Who watches a run takes it for done otherwise."""
+    seen = set()
+    ended = threading.Event()
+
+    def watch():
+        while not ended.is_set():
+            undecided = proposer.undecided
+            seen.add((undecided, proposer.proposed))
+
+    for each in fragments:
+        add(each)
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    pairs = one_round(proposer)
+    ended.set()
+    watcher.join()
+    assert (len(fragments), 0) in seen
+    assert {proposed for undecided, proposed in seen if undecided == 0} <= {len(pairs)}
 
 
 def test_a_later_fragment_gets_pairs_of_its_own_and_no_others(proposer, add, fragments):
