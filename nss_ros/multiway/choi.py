@@ -63,6 +63,31 @@ class Choi:
     def __init__(self, config: MultiwayConfig) -> None:
         self._config = config
 
+    @property
+    def close(self) -> Closeness:
+        """When a loop of edges closes."""
+        return Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
+
+    def straightened(self, part: Poses, measurements: Sequence[Measurement]) -> Poses:
+        """The poses of a part of the map after an optimisation over the pairs that agree with them.
+
+        Joined by one pair after the other, a part of many fragments is bent.
+
+        Args:
+            part: poses of its fragments.
+            measurements: with their alternatives, not of this part only.
+
+        Returns:
+            Poses in the frame of the first fragment; the same as before where the optimisation
+            would not keep the part together.
+        """
+        inside = [m for m in measurements if m.pair.source in part and m.pair.target in part]
+        agreeing = [fitting_hypothesis(m, _relative(m, part), self.close) for m in inside]
+        graph = self.synchronize(sorted(part), [m for m in agreeing if m is not None], part)
+        poses = {node.id: node for node in graph.nodes if node.component == 0}
+        whole = len(poses) == len(part)
+        return {id_: node.T_map_fragment for id_, node in poses.items()} if whole else part
+
     def synchronize(
         self,
         fragments: Sequence[FragmentId],
@@ -112,7 +137,7 @@ class Choi:
 
     def _join(self, ids: list[FragmentId], edges: list[_Judged], known: Sequence[Poses]) -> Poses:
         """Poses by which the pairs agree; their edges get the hypothesis that fits them."""
-        close = self._close()
+        close = self.close
         measurements = [edge.measurement for edge in edges if edge.accepted]
         parts = joined_parts(ids, measurements, close, known=known)
         part = {id_: number for number, members in enumerate(parts) for id_ in members}
@@ -133,7 +158,7 @@ class Choi:
 
     def _count_support(self, edges: list[_Judged]) -> None:
         accepted = [edge for edge in edges if edge.accepted]
-        close = self._close()
+        close = self.close
         support = triangle_support(
             [edge.measurement for edge in accepted], close.translation, close.rotation
         )
@@ -162,11 +187,8 @@ class Choi:
 
     def _tree(self, members: list[FragmentId], edges: list[_Judged]) -> Poses:
         ranks = np.array([self._rank(edge) for edge in edges])
-        votes = self._close() if self._config.start == "triangles" else None
+        votes = self.close if self._config.start == "triangles" else None
         return spanning_tree_poses(members, [edge.measurement for edge in edges], ranks, votes)
-
-    def _close(self) -> Closeness:
-        return Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
 
     def _rank(self, edge: _Judged) -> tuple[float, ...]:
         m = edge.measurement

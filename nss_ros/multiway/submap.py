@@ -26,6 +26,7 @@ from nss_ros.geometry import (
 from nss_ros.icp import Surface, refine
 from nss_ros.multiway.agglomeration import Ambiguous, Votes
 from nss_ros.multiway.contradictions import loss_of_parts
+from nss_ros.multiway.spacing import count_on_same_place
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import Fragments, SubmapFragment
 from nss_ros.registration.gravity.agreement import agreement
@@ -54,6 +55,8 @@ _NOTHING = 10.0
 # of the sensor, speak against a pose. Of each pose the nearest pairs of fragments are looked at.
 _CONFLICT_WEIGHT, NO_CONFLICT = 150.0, 0.02
 _MOST_VIEWS, _VIEW_DISTANCE = 6, 6.0
+# A fragment may itself be misplaced, slid along a wall for example: what each takes at most.
+_MOST_BY_WITNESS = 8.0
 # Scans that reach far see more of each other, so that a wrong place is a smaller share of it.
 _WIDE_WEIGHT, WIDE_NONE = 600.0, 0.005
 
@@ -148,6 +151,7 @@ def register_submaps(
     pairs: Sequence[Ambiguous],
     close: Closeness,
     noise: float = 0.0,
+    nearness: float = 0.0,
 ) -> SubmapLink:
     """The best transform between two submaps.
 
@@ -157,9 +161,10 @@ def register_submaps(
         pairs: with a fragment in each, may be none.
         close: when two transforms agree.
         noise: of contradictions, see `noise_of`.
+        nearness: what two fragments of one stage on the same place lose, see `nearness_loss`.
     """
     if len(source.poses) > len(target.poses):
-        link = register_submaps(target, source, pairs, close, noise)
+        link = register_submaps(target, source, pairs, close, noise, nearness)
         return SubmapLink(link.odds, inverse(link.T_target_source))
     votes = Votes.of(target.poses, source.poses, pairs) if pairs else None
     candidates = _candidates(source, target, votes, close)
@@ -168,7 +173,8 @@ def register_submaps(
         counts = votes.obeyed(votes.agreement(np.array(candidates), close))
         obeyed = int(counts.max())
         candidates = [candidates[each] for each in np.flatnonzero(counts == obeyed)]
-    scored = [(_score(source, target, each, votes, close), each) for each in candidates]
+    score_of = _Scoring(source, target, votes, close, nearness)
+    scored = [(score_of(each), each) for each in candidates]
     scored.sort(key=lambda each: -each[0])
     scans = {**source.scans, **target.scans}
     aligned: list[tuple[float, Transform]] = []
@@ -176,9 +182,11 @@ def register_submaps(
         score, transform = scored[0]
         if aligned and score < max(best for best, _ in aligned) - _MOST_MARGIN:
             break
-        score, transform = _aligned(source, target, transform, score, votes, close)
-        loss = loss_of_parts(target.poses, source.poses, transform, scans, noise)
-        aligned.append((score - loss, transform))
+        score, transform = _aligned(score_of, transform, score)
+        contradiction = loss_of_parts(target.poses, source.poses, transform, scans, noise)
+        if contradiction > 0:
+            score = score_of(transform, contradiction)
+        aligned.append((score, transform))
         del scored[0]
     # What was not aligned is a rival only, whatever its score.
     apart = _apart([*sorted(aligned, key=lambda each: -each[0]), *scored], close)
@@ -221,17 +229,51 @@ def _apart(
     return kept
 
 
-def _score(
-    source: Submap, target: Submap, transform: Transform, votes: Votes | None, close: Closeness
-) -> float:
-    share = evening(source.cells, target.cells)
-    score = share * canvas_score(source.canvas, target.canvas, transform)
-    score -= conflict_loss(_conflict(source, target, transform), wide=share < 1)
-    if votes is not None:
-        gain = votes.scores(votes.agreement(transform[None], close))[0] - votes.doubts.sum()
-        large = min(len(source.poses), len(target.poses)) >= _LARGE
-        score += min(_PAIRS_WEIGHT * float(gain), _MOST_BY_PAIRS if large else np.inf)
-    return score
+@dataclass(frozen=True, slots=True)
+class _Scoring:
+    """Scores poses of a source on a target, logarithm.
+
+    Attributes:
+        source: what is moved.
+        target: on which.
+        votes: of the pairs between them, if there are any.
+        close: when two transforms agree.
+        nearness: what two fragments of one stage on the same place lose.
+    """
+
+    source: Submap
+    target: Submap
+    votes: Votes | None
+    close: Closeness
+    nearness: float
+
+    def __call__(self, transform: Transform, contradiction: float = 0.0) -> float:
+        source, target = self.source, self.target
+        share = evening(source.cells, target.cells)
+        score = share * canvas_score(source.canvas, target.canvas, transform)
+        score -= self._by_views(transform, contradiction, wide=share < 1)
+        score -= self.nearness * count_on_same_place(target.poses, source.poses, transform)
+        return score + self._by_pairs(transform)
+
+    def _by_views(self, transform: Transform, contradiction: float, *, wide: bool) -> float:
+        """What is lost by what scanners of one stage see of each other."""
+        near = _near_views(self.source, self.target, transform)
+        loss = contradiction + conflict_loss(
+            _conflict(self.source, self.target, transform, near), wide=wide
+        )
+        sources, targets = ({pair[n] for pair in near} for n in range(2))
+        # All of the source is misplaced if the link is wrong.
+        all_of_it = len(sources) == len(self.source.poses)
+        witnesses = len(targets) if all_of_it else min(len(sources), len(targets))
+        return loss if wide else min(loss, _MOST_BY_WITNESS * witnesses)
+
+    def _by_pairs(self, transform: Transform) -> float:
+        if self.votes is None:
+            return 0.0
+        agree = self.votes.agreement(transform[None], self.close)
+        gain = float(self.votes.scores(agree)[0] - self.votes.doubts.sum())
+        large = min(len(self.source.poses), len(self.target.poses)) >= _LARGE
+        return min(_PAIRS_WEIGHT * gain, _MOST_BY_PAIRS if large else np.inf)
 
 
 def conflict_loss(conflict: float, wide: bool) -> float:
@@ -245,8 +287,10 @@ def conflict_loss(conflict: float, wide: bool) -> float:
     return weight * max(conflict - none, 0.0)
 
 
-def _conflict(source: Submap, target: Submap, transform: Transform) -> float:
-    """Share of what scanners of one stage see of each other's walls that cannot be there."""
+def _near_views(
+    source: Submap, target: Submap, transform: Transform
+) -> list[tuple[FragmentId, FragmentId]]:
+    """Fragments of source and target, of one stage, that are nearest each other."""
     near = []
     for id_, pose in source.poses.items():
         placed = transform @ pose
@@ -254,26 +298,30 @@ def _conflict(source: Submap, target: Submap, transform: Transform) -> float:
             distance = float(np.hypot(*(placed - there)[:2, 3]))
             if other.stage == id_.stage and distance < _VIEW_DISTANCE:
                 near.append((distance, id_, other))
+    return [(id_, other) for _, id_, other in sorted(near)[:_MOST_VIEWS]]
+
+
+def _conflict(
+    source: Submap,
+    target: Submap,
+    transform: Transform,
+    near: Sequence[tuple[FragmentId, FragmentId]],
+) -> float:
+    """Share of what these see of each other's walls that cannot be there."""
     free = shared = 0.0
-    for _, id_, other in sorted(near)[:_MOST_VIEWS]:
+    for id_, other in near:
         pair = relative(transform @ source.poses[id_], target.poses[other])
         seen = agreement(source.scans[id_].view, target.scans[other].view, pair)
         free, shared = free + seen.free, shared + seen.shared
     return free / (free + shared) if free else 0.0
 
 
-def _aligned(
-    source: Submap,
-    target: Submap,
-    start: Transform,
-    score: float,
-    votes: Votes | None,
-    close: Closeness,
-) -> tuple[float, Transform]:
+def _aligned(score_of: _Scoring, start: Transform, score: float) -> tuple[float, Transform]:
     """The transform after ICP where that scores more, level again, with its score."""
+    source = score_of.source
     refined = refine(
         source.moved,
-        target.surface,
+        score_of.target.surface,
         start,
         _ICP_DISTANCE,
         _ICP_ITERATIONS,
@@ -291,5 +339,5 @@ def _aligned(
     distance = np.linalg.norm(moved[:3, :3] @ middle + moved[:3, 3] - middle)
     if distance > _MOST_TRANSLATION or rotation_angle(moved) > _MOST_ROTATION:
         return score, start
-    again = _score(source, target, level, votes, close)
+    again = score_of(level)
     return (again, level) if again > score else (score, start)

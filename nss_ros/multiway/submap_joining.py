@@ -19,9 +19,11 @@ from scipy.spatial.transform import Rotation
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, from_rotation, inverse
 from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
+from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.contradictions import are_usual, loss_of_pair, loss_of_parts, noise_of
 from nss_ros.multiway.pose_graph import Alternative, Measurement
-from nss_ros.multiway.spanning_tree import Closeness, Poses
+from nss_ros.multiway.spacing import count_on_same_place, nearness_loss, on_same_place
+from nss_ros.multiway.spanning_tree import Poses
 from nss_ros.multiway.submap import (
     NO_CONFLICT,
     WIDE_NONE,
@@ -44,6 +46,8 @@ _UNASKED, _BESIDE, _MOST_ASKED = 6.0, 2.5, 0.9
 _SMALL, _LATER = 3, -1000.0
 # Pairs within a stage that are this probable tell what is noise of what scanners see.
 _PROBABLE = 0.8
+# Those above this tell whether tripods stand apart: wrong poses lie on each other by chance.
+_SURE_ALONE = 0.95
 # Logarithm of the odds from which it counts more how large the submaps of a link are than how sure
 # it is.
 _SURE = 6.0
@@ -53,7 +57,7 @@ def joined_submaps(
     fragments: Iterable[FragmentId],
     measurements: Sequence[Measurement],
     prepared: Fragments,
-    close: Closeness,
+    choi: Choi,
 ) -> list[Poses]:
     """Submaps, largest first, each with poses in a frame of its own.
 
@@ -61,9 +65,9 @@ def joined_submaps(
         fragments: all of them.
         measurements: between them, with their alternatives.
         prepared: the fragments.
-        close: when two poses of a fragment agree.
+        choi: tells when poses agree, and straightens what pairs of one stage join.
     """
-    joining = Joining(fragments, measurements, prepared, close)
+    joining = Joining(fragments, measurements, prepared, choi)
     for _ in joining:
         pass
     return joining.parts()
@@ -77,16 +81,26 @@ class Joining:
         fragments: Iterable[FragmentId],
         measurements: Sequence[Measurement],
         prepared: Fragments,
-        close: Closeness,
+        choi: Choi,
     ) -> None:
-        self._noise = _noise(measurements, prepared)
-        within = [_doubted(m, prepared, self._noise) for m in measurements if m.pair.same_stage]
+        probable = [m for m in measurements if m.pair.same_stage and m.confidence > _PROBABLE]
+        self._noise = _noise(probable, prepared)
+        self._nearness = nearness_loss(
+            m.T_target_source for m in probable if m.confidence > _SURE_ALONE
+        )
+        within = [
+            _doubted(m, prepared, self._noise, self._nearness)
+            for m in measurements
+            if m.pair.same_stage
+        ]
 
         def loss(one: Poses, other: Poses, transform: Transform) -> float:
-            return loss_of_parts(one, other, transform, prepared, self._noise)
+            seen = loss_of_parts(one, other, transform, prepared, self._noise)
+            return seen + self._nearness * count_on_same_place(one, other, transform)
 
-        parts = joined_parts(fragments, within, close, _SURE_PAIRS, loss=loss)
-        self._prepared, self._close = prepared, close
+        parts = joined_parts(fragments, within, choi.close, _SURE_PAIRS, loss=loss)
+        parts = [choi.straightened(part, within) if len(part) > 1 else part for part in parts]
+        self._prepared, self._close = prepared, choi.close
         self._asked = {frozenset((m.pair.source, m.pair.target)) for m in measurements}
         self.submaps = {n: Submap.of(_levelled(part), prepared) for n, part in enumerate(parts)}
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
@@ -167,7 +181,12 @@ class Joining:
         """The link that moves the second submap to the first."""
         pairs = self._pairs[one][other]
         link = register_submaps(
-            self.submaps[other], self.submaps[one], pairs, self._close, self._noise
+            self.submaps[other],
+            self.submaps[one],
+            pairs,
+            self._close,
+            self._noise,
+            self._nearness,
         )
         if not pairs:
             silence = self._silence(self.submaps[one], self.submaps[other], link.T_target_source)
@@ -231,9 +250,8 @@ def _levelled(part: Poses) -> Poses:
     return {id_: level @ pose for id_, pose in part.items()}
 
 
-def _noise(measurements: Sequence[Measurement], prepared: Fragments) -> float:
+def _noise(probable: Sequence[Measurement], prepared: Fragments) -> float:
     """What probable pairs of one stage have of contradictions."""
-    probable = [m for m in measurements if m.pair.same_stage and m.confidence > _PROBABLE]
     scans = [(prepared[m.pair.source], prepared[m.pair.target]) for m in probable]
     return noise_of(
         (*both, m.T_target_source)
@@ -242,13 +260,17 @@ def _noise(measurements: Sequence[Measurement], prepared: Fragments) -> float:
     )
 
 
-def _doubted(m: Measurement, prepared: Fragments, noise: float) -> Measurement:
+def _doubted(m: Measurement, prepared: Fragments, noise: float, nearness: float) -> Measurement:
     """A measurement within a stage, its hypotheses less probable the more conflict they have."""
     if m.manual:
         return m
     first = Alternative(m.T_target_source, m.information, m.confidence)
     listed = (first, *m.alternatives)
-    losses = _losses(m, [each.T_target_source for each in listed], prepared, noise)
+    transforms = [each.T_target_source for each in listed]
+    losses = [
+        loss + nearness * on_same_place(each)
+        for loss, each in zip(_losses(m, transforms, prepared, noise), transforms, strict=True)
+    ]
     ranked = [
         replace(each, probability=each.probability * math.exp(-loss))
         for each, loss in zip(listed, losses, strict=True)

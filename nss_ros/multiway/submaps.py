@@ -70,14 +70,11 @@ class Submaps:
         if known is None:
             graph = self._choi.synchronize(fragments, measurements)
         else:
-            kept = known_by(known, measurements, self._close())
+            kept = known_by(known, measurements, self._choi.close)
             graph = self._choi.synchronize(
                 fragments, kept.measurements, rejected=kept.rejected, parts=kept.parts
             )
         return replace(graph, synchronizer=self.name)
-
-    def _close(self) -> Closeness:
-        return Closeness(self._config.loop_translation, np.deg2rad(self._config.loop_rotation))
 
     def synchronize_points(
         self,
@@ -96,7 +93,7 @@ class Submaps:
         prepared = {id_: prepared[id_] for id_ in ids}
         inside = [m for m in measurements if _both(m, prepared)]
         outside = [m for m in measurements if not _both(m, prepared)]
-        parts = joined_submaps(ids, inside, prepared, self._close())
+        parts = joined_submaps(ids, inside, prepared, self._choi)
         held = {end for m in inside if m.manual for end in (m.pair.source, m.pair.target)}
         parts = [settled(part, prepared, held) for part in parts]
         kept, rejected = _judged(inside, parts)

@@ -7,9 +7,9 @@ import pytest
 
 from nss_ros.config import MultiwayConfig
 from nss_ros.geometry import from_yaw, inverse
+from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.contradictions import loss_of_pair, loss_of_parts, noise_of
 from nss_ros.multiway.solver import prepared_by
-from nss_ros.multiway.spanning_tree import Closeness
 from nss_ros.multiway.submap_joining import joined_submaps
 
 
@@ -121,6 +121,6 @@ def test_people_about_each_scanner_do_not_keep_a_stage_apart(building, ids):
     one, other, truth = halves(building, ids)
     assert loss_of_parts(one, other, truth, prepared) > 4
     assert loss_of_parts(one, other, truth, prepared, noise) < 0.5
-    close = Closeness(0.4, np.radians(6))
-    (part,) = joined_submaps(ids, [building.right(p) for p in pairs], prepared, close)
+    choi = Choi(MultiwayConfig())
+    (part,) = joined_submaps(ids, [building.right(p) for p in pairs], prepared, choi)
     assert building.worst(part)[0] < 0.1

@@ -6,11 +6,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from nss_ros.config import MultiwayConfig
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.multiway.spanning_tree import Closeness
+from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.submap_joining import Joining, joined_submaps
 
-CLOSE = Closeness(0.4, np.radians(6))
+CHOI = Choi(MultiwayConfig())
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def pairs(building, ids):
 
 
 def joined(building, ids, measurements):
-    return joined_submaps(ids, measurements, building.prepared, CLOSE)
+    return joined_submaps(ids, measurements, building.prepared, CHOI)
 
 
 def assert_right(building, part):
@@ -98,7 +99,7 @@ def test_two_areas_are_never_joined(building, ids, pairs):
         replace(m, pair=FragmentPair(others[m.pair.source], others[m.pair.target]))
         for m in measurements
     ]
-    parts = joined_submaps([*ids, *others.values()], measurements, prepared, CLOSE)
+    parts = joined_submaps([*ids, *others.values()], measurements, prepared, CHOI)
     assert [part.keys() for part in parts] == [set(ids), set(others.values())]
 
 
@@ -128,7 +129,7 @@ def test_the_order_of_the_fragments_does_not_matter(building, ids, pairs):
 
 def test_each_step_joins_two_submaps_that_are_sure(building, ids, pairs):
     measurements = [building.wrong(pair, n, 0.5, 0.3) for n, pair in enumerate(pairs)]
-    joining = Joining(ids, measurements, building.prepared, CLOSE)
+    joining = Joining(ids, measurements, building.prepared, CHOI)
     count = len(joining.submaps)
     assert count > 1
     for odds, one, other, link in joining:
@@ -165,7 +166,7 @@ def dwellings(building, *stages):
 
 def test_like_dwellings_of_which_nobody_asks_are_not_laid_on_one_another(building):
     prepared, measurements = dwellings(building, (1, (1, 2, 4, 6, 7, 8)), (2, (4, 5, 6, 7)))
-    parts = joined_submaps(prepared, measurements, prepared, CLOSE)
+    parts = joined_submaps(prepared, measurements, prepared, CHOI)
     assert [{id_.spot // 100 for id_ in part} for part in parts] == [{0}, {1}]
     assert [len(part) for part in parts] == [10, 10]
 
@@ -173,13 +174,13 @@ def test_like_dwellings_of_which_nobody_asks_are_not_laid_on_one_another(buildin
 def test_stages_of_like_dwellings_are_joined_where_no_pair_between_stages_was_asked_for(building):
     prepared, measurements = dwellings(building, (1, (1, 2, 4, 6, 7, 8)), (2, (4, 5, 6, 7)))
     within = [m for m in measurements if m.pair.same_stage]
-    parts = joined_submaps(prepared, within, prepared, CLOSE)
+    parts = joined_submaps(prepared, within, prepared, CHOI)
     assert {id_.stage for id_ in parts[0]} == {1, 2}
 
 
 def test_submaps_are_levelled_by_all_their_tripods(building, ids, pairs):
     """Whatever the frame of the first fragment, which a tripod tilts."""
-    joining = Joining(ids, [building.right(p) for p in pairs], building.prepared, CLOSE)
+    joining = Joining(ids, [building.right(p) for p in pairs], building.prepared, CHOI)
     large = [submap.poses for submap in joining.submaps.values() if len(submap.poses) > 2]
     assert large
     for poses in large:
@@ -189,7 +190,7 @@ def test_submaps_are_levelled_by_all_their_tripods(building, ids, pairs):
 
 
 def test_of_sure_links_those_of_large_submaps_come_first(building, ids, pairs):
-    joining = Joining(ids, [building.right(p) for p in pairs], building.prepared, CLOSE)
+    joining = Joining(ids, [building.right(p) for p in pairs], building.prepared, CHOI)
     one, other = sorted(joining.submaps, key=lambda n: -len(joining.submaps[n].poses))[:2]
     size = len(joining.submaps[one].poses)
     assert joining._priority(7.0, one, other) > size

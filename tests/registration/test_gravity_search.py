@@ -107,7 +107,7 @@ def test_half_a_turn_tells_the_scores_of_all_of_it(scans, network):
     source, target = (features(network, scan(each).maps) for each in scans[:2])
     still = as_target(target)
     direct = correlate(spectrum(rotated(source, yaw_angles())), spectrum(still))
-    scores = correlate_turned(turned_spectra(source), still)
+    scores = correlate_turned(turned_spectra(source), still, still.shape[-1])
     assert scores.shape == direct.shape
     assert torch.allclose(scores, direct, atol=1e-4 * float(direct.abs().max()))
 

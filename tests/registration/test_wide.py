@@ -10,9 +10,9 @@ import torch
 from nss_ros.config import MultiwayConfig, RegistrationConfig, SiteConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
 from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
+from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.pose_graph import Alternative, Measurement
 from nss_ros.multiway.solver import prepared_by
-from nss_ros.multiway.spanning_tree import Closeness
 from nss_ros.multiway.submap_joining import joined_submaps
 from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
 from nss_ros.registration.gravity.correlation import turned_spectra
@@ -173,11 +173,11 @@ def test_within_a_stage_a_place_that_cannot_be_is_not_taken_however_sure_a_pair_
         level=True,
         alternatives=(Alternative(truth, np.eye(6), 0.05),),
     )
-    (part,) = joined_submaps([ONE, OTHER], [sure], prepared, Closeness(0.4, np.radians(6)))
+    (part,) = joined_submaps([ONE, OTHER], [sure], prepared, Choi(config))
     assert np.linalg.norm((relative(part[ONE], part[OTHER]) - truth)[:3, 3]) < 0.1
     # But a person is right.
     manual = replace(sure, manual=True)
-    (part,) = joined_submaps([ONE, OTHER], [manual], prepared, Closeness(0.4, np.radians(6)))
+    (part,) = joined_submaps([ONE, OTHER], [manual], prepared, Choi(config))
     assert np.linalg.norm((relative(part[ONE], part[OTHER]) - beside)[:3, 3]) < 0.1
 
 

@@ -13,14 +13,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from nss_ros.registration.gravity.correlation import correlate, rotated, spectrum
+from nss_ros.registration.gravity.correlation import correlate_turned, rotated, spectrum
 from nss_ros.registration.gravity.network import as_target
 
 #: Cells of features along each side that become one.
 POOL = 2
 #: Yaw angles of a full turn.
 COARSE_YAWS = 60
-_BATCH = 12
+_BATCH = 10
 
 
 def pooled(features: Tensor) -> Tensor:
@@ -42,8 +42,8 @@ def coarse_scores(moving: Tensor, still: Tensor) -> Tensor:
         still: (c, m, m) pooled, as a source too.
     """
     size = fast_size(moving.shape[-1] + still.shape[-1])
-    spectra = spectrum(as_target(still), size)
-    return torch.cat([correlate(part, spectra, size) for part in _turned(moving, size)])
+    half = _turned(moving, size, COARSE_YAWS // 2)
+    return correlate_turned(half, as_target(still), moving.shape[-1], size)
 
 
 def turned_by_frequency(moving: Tensor, size: int) -> Tensor:
@@ -55,7 +55,7 @@ def turned_by_frequency(moving: Tensor, size: int) -> Tensor:
         moving: pooled, as a source.
         size: `fast_size` of the cells of both grids.
     """
-    spectra = torch.cat(list(_turned(moving, size))).conj()
+    spectra = torch.cat(list(_turned(moving, size, COARSE_YAWS))).conj()
     return spectra.flatten(2).permute(2, 0, 1).contiguous()
 
 
@@ -77,9 +77,9 @@ def scores_of_many(turned: Tensor, stills: Tensor, size: int) -> Tensor:
     return scores
 
 
-def _turned(moving: Tensor, size: int) -> Iterator[Tensor]:
-    """Spectra of features at all yaw angles, in parts."""
-    yaws = torch.arange(COARSE_YAWS) * (2 * math.pi / COARSE_YAWS)
+def _turned(moving: Tensor, size: int, count: int) -> Iterator[Tensor]:
+    """Spectra of features at the first yaw angles, in parts."""
+    yaws = torch.arange(count) * (2 * math.pi / COARSE_YAWS)
     for part in torch.split(yaws, _BATCH):
         yield spectrum(rotated(moving, part), size)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import torch
@@ -96,28 +96,31 @@ def turned_spectra(source: Tensor) -> tuple[Tensor, ...]:
     return tuple(spectrum(rotated(source, part)) for part in angles)
 
 
-def correlate_turned(turned: Sequence[Tensor], target: Tensor) -> Tensor:
-    """Scores (YAWS, SHIFTS, SHIFTS) of all poses of the grid.
+def correlate_turned(
+    turned: Iterable[Tensor], target: Tensor, cells: int, shifts: int = SHIFTS
+) -> Tensor:
+    """Scores (yaws, shifts, shifts) of all poses of the grid.
 
     Turned by another half turn, maps are those of `turned` read backwards and their normals point
     the other way, so that the spectrum is the conjugate one but for signs and a phase.
 
     Args:
-        turned: see `turned_spectra`.
-        target: features (c, n, n), as a target; the source's maps are as large.
+        turned: spectra of the source at the yaw angles of half a turn, in parts.
+        target: features (c, n, n), as a target.
+        cells: of the source along each side.
+        shifts: along each axis.
     """
-    still = spectrum(target)
-    rows = torch.fft.fftfreq(SHIFTS)[:, None]
-    columns = torch.fft.rfftfreq(SHIFTS)
-    phase = torch.polar(torch.ones(()), 2 * math.pi * (target.shape[-1] - 1) * (rows + columns))
+    still = spectrum(target, shifts)
+    rows = torch.fft.fftfreq(shifts)[:, None]
+    columns = torch.fft.rfftfreq(shifts)
+    phase = torch.polar(torch.ones(()), 2 * math.pi * (cells - 1) * (rows + columns))
     opposite = still * phase
     opposite[VECTORS] *= -1
-    return torch.cat(
-        [
-            *(correlate(part, still) for part in turned),
-            *(correlate(part.conj(), opposite) for part in turned),
-        ]
-    )
+    pairs = [
+        (correlate(part, still, shifts), correlate(part.conj(), opposite, shifts))
+        for part in turned
+    ]
+    return torch.cat([*(first for first, _ in pairs), *(second for _, second in pairs)])
 
 
 def score_parts(source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor) -> Tensor:

@@ -66,7 +66,7 @@ def search(turned: Sequence[Tensor], target: Tensor, count: int) -> Search:
         count: most peaks.
     """
     with torch.inference_mode():
-        scores = correlate_turned(turned, target)
+        scores = correlate_turned(turned, target, target.shape[-1])
         places = best_places(scores, count)
         total = float(scores.flatten().logsumexp(dim=0))
     peaks = tuple(
