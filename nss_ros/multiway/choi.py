@@ -84,9 +84,10 @@ class Choi:
         inside = [m for m in measurements if m.pair.source in part and m.pair.target in part]
         agreeing = [fitting_hypothesis(m, _relative(m, part), self.close) for m in inside]
         graph = self.synchronize(sorted(part), [m for m in agreeing if m is not None], part)
-        poses = {node.id: node for node in graph.nodes if node.component == 0}
-        whole = len(poses) == len(part)
-        return {id_: node.T_map_fragment for id_, node in poses.items()} if whole else part
+        placed = graph.poses()
+        if len(placed) < len(part) or any(node.component for node in placed.values()):
+            return part
+        return {id_: node.T_map_fragment for id_, node in placed.items()}
 
     def synchronize(
         self,

@@ -383,3 +383,34 @@ def test_the_kind_of_an_edge_is_that_of_its_measurement():
 def test_choi_is_found_by_name():
     assert "choi" in synchronizer_names()
     assert load_synchronizer(MultiwayConfig(synchronizer="choi")).name == "choi"
+
+
+def bent(building, ids, turn=0.01):
+    """True poses, each turned a little more than the last, and moved along with it."""
+    part = building.part(ids)
+    return {
+        id_: exponential(np.array([0, 0, 0, 0, 0, turn * n])) @ part[id_]
+        for n, id_ in enumerate(ids)
+    }
+
+
+def test_a_bent_part_is_straightened_by_all_pairs_that_agree_with_it(building):
+    ids = sorted({end for p in building.pairs if p.same_stage for end in (p.source, p.target)})
+    ids = [id_ for id_ in ids if id_.stage == 1]
+    measurements = [building.right(pair) for pair in building.asked(ids)]
+    measurements += [building.wrong(pair, n) for n, pair in enumerate(building.asked(ids)[:9])]
+    choi = Choi(MultiwayConfig())
+    part = bent(building, ids)
+    assert building.worst(part)[0] > 0.3
+    straight = choi.straightened(part, measurements)
+    assert straight.keys() == part.keys()
+    assert building.worst(straight)[0] < 0.02
+
+
+def test_a_part_that_would_fall_apart_stays_as_it_is(building):
+    ids = building.spots(1, 1, 2, 4, 6, 7)
+    part, choi = bent(building, ids), Choi(MultiwayConfig())
+    assert choi.straightened(part, []) is part
+    some = [building.right(pair) for pair in building.asked(ids[:3])]
+    assert choi.straightened(part, some) is part
+    assert choi.straightened({ids[0]: np.eye(4)}, some).keys() == {ids[0]}

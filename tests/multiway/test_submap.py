@@ -70,6 +70,19 @@ def test_submaps_of_one_stage_are_registered_without_pairs(building, first):
     assert building.error(link.T_target_source, beside[0], first[0])[0] < 0.3
 
 
+@pytest.mark.parametrize("slid", [(0.6, 0, 0), (0, 0.6, 0)])
+def test_one_misplaced_fragment_does_not_keep_its_stage_from_its_place(building, second, slid):
+    """Of what was joined before, one fragment of the stage is on the wrong side of a wall."""
+    ids = building.spots(1, 1, 2, 4, 6, 7)
+    wrong, rest = ids[2], [*ids[:2], *ids[3:]]
+    poses = building.part([*second, wrong])
+    poses[wrong] = from_yaw(0, slid) @ poses[wrong]
+    target = Submap.of(poses, building.prepared)
+    link = register_submaps(building.submap(rest), target, [], CLOSE)
+    assert link.odds > 0
+    assert is_right(building, link, rest, second)
+
+
 def test_exchanging_the_submaps_inverts_the_link(building, first, second):
     one, other = building.submap(first), building.submap(second)
     forth, back = register_submaps(one, other, [], CLOSE), register_submaps(other, one, [], CLOSE)

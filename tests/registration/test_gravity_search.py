@@ -11,7 +11,12 @@ from hypothesis import strategies as st
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment
 from nss_ros.geometry import from_yaw, transform_points
-from nss_ros.registration.gravity.coarse import shift_of_middles
+from nss_ros.registration.gravity.coarse import (
+    COARSE_YAWS,
+    coarse_scores,
+    fast_size,
+    shift_of_middles,
+)
 from nss_ros.registration.gravity.correlation import (
     STEP,
     correlate,
@@ -21,7 +26,7 @@ from nss_ros.registration.gravity.correlation import (
     turned_spectra,
     yaw_angles,
 )
-from nss_ros.registration.gravity.network import GravityNetwork, as_target
+from nss_ros.registration.gravity.network import CHANNELS, GravityNetwork, as_target
 from nss_ros.registration.gravity.raster import (
     CELL,
     FREE,
@@ -108,6 +113,20 @@ def test_half_a_turn_tells_the_scores_of_all_of_it(scans, network):
     still = as_target(target)
     direct = correlate(spectrum(rotated(source, yaw_angles())), spectrum(still))
     scores = correlate_turned(turned_spectra(source), still, still.shape[-1])
+    assert scores.shape == direct.shape
+    assert torch.allclose(scores, direct, atol=1e-4 * float(direct.abs().max()))
+
+
+@pytest.mark.parametrize("sizes", [(10, 17), (9, 9), (14, 6)])
+def test_half_a_turn_tells_the_coarse_scores_of_grids_of_any_size(sizes):
+    moving, still = (
+        torch.randn(CHANNELS, n, n, generator=torch.Generator().manual_seed(n)) for n in sizes
+    )
+    size = fast_size(sum(sizes))
+    yaws = torch.arange(COARSE_YAWS) * (2 * math.pi / COARSE_YAWS)
+    turned = spectrum(rotated(moving, yaws), size)
+    direct = correlate(turned, spectrum(as_target(still), size), size)
+    scores = coarse_scores(moving, still)
     assert scores.shape == direct.shape
     assert torch.allclose(scores, direct, atol=1e-4 * float(direct.abs().max()))
 
