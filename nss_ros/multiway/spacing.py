@@ -11,13 +11,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform
 from nss_ros.multiway.spanning_tree import Poses
 
 # Nearer than this is the same place, metres. The paper's spots are 1 to 4 m apart.
 _SAME_PLACE = 0.8
 # What a pair that is that near loses, logarithm of the odds.
-_LOSS = 3.0
+_LOSS = 5.0
 # Who scans without such care has this share, at least, of what chance would put there, of pairs
 # that are not farther apart than so many metres.
 _CHANCE, _AROUND = 0.5, 4.0
@@ -54,6 +55,16 @@ def count_on_same_place(one: Poses, other: Poses, transform: Transform) -> int:
     near = np.linalg.norm(moved[:, None] - places, axis=2) < _SAME_PLACE
     stages = [np.array([id_.stage for id_ in part]) for part in (other, one)]
     return int((near & (stages[0][:, None] == stages[1])).sum())
+
+
+def crowded(part: Poses) -> set[FragmentId]:
+    """Fragments of a part that are on the same place as others of their stage."""
+    ids, places = list(part), _places(part)
+    near = np.linalg.norm(places[:, None] - places, axis=2) < _SAME_PLACE
+    stages = np.array([id_.stage for id_ in ids])
+    near &= stages[:, None] == stages
+    np.fill_diagonal(near, val=False)
+    return {id_ for id_, others in zip(ids, near, strict=True) if others.any()}
 
 
 def _places(part: Poses) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
