@@ -125,13 +125,16 @@ class Joining:
         return sorted(all_, key=lambda part: (-len(part), min(part)))
 
     def __iter__(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
-        yield from self._join_while_sure()
-        self._link_unasked()
-        yield from self._join_while_sure()
+        yield from self._join_asked_and_unasked()
         for _ in range(_MOST_RELEASES):
             if not self._release_crowded():
                 break
-            yield from self._join_while_sure()
+            yield from self._join_asked_and_unasked()
+
+    def _join_asked_and_unasked(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
+        yield from self._join_while_sure()
+        self._link_unasked()
+        yield from self._join_while_sure()
 
     def _join_while_sure(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
         while self._queue:
