@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from heapq import heappop, heappush
 from itertools import combinations
@@ -113,6 +113,7 @@ class Joining:
         self._measurements = measurements
         self._asked = {frozenset((m.pair.source, m.pair.target)) for m in measurements}
         self.submaps = {n: Submap.of(_levelled(part), prepared) for n, part in enumerate(parts)}
+        self._next = len(parts)
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
         # A link that was not measured yet, or before one of its submaps grew, has no transform.
         self._links: dict[tuple[int, int], SubmapLink | None] = {}
@@ -173,16 +174,9 @@ class Joining:
             for key, link in self._links.items()
             if link is not None and not out[key[0]] and not out[key[1]]
         }
-        number = max(self.submaps) + 1
-        for n, released in out.items():
-            if not released:
-                continue
-            poses = self.submaps.pop(n).poses
-            kept = {id_: pose for id_, pose in poses.items() if id_ not in released}
-            for part in (kept, *({id_: poses[id_]} for id_ in sorted(released))):
-                if part:
-                    self.submaps[number] = Submap.of(part, self._prepared)
-                    number += 1
+        for number, released in out.items():
+            if released:
+                self._release(number, released)
         self._pairs = {n: {} for n in self.submaps}
         self._links, self._queue = {}, []
         self._add_pairs(self._measurements)
@@ -191,6 +185,15 @@ class Joining:
                 self._links[one, other] = link
                 self._wait(self._priority(link.odds, one, other), one, other, link.odds)
         return True
+
+    def _release(self, number: int, released: Collection[FragmentId]) -> None:
+        """Make a submap of each of these fragments of one, and another of the others."""
+        poses = self.submaps.pop(number).poses
+        kept = {id_: pose for id_, pose in poses.items() if id_ not in released}
+        alone = ({id_: poses[id_]} for id_ in sorted(released))
+        for part in (kept, *alone) if kept else alone:
+            self.submaps[self._next] = Submap.of(part, self._prepared)
+            self._next += 1
 
     def _add_pairs(self, measurements: Sequence[Measurement]) -> None:
         part = {id_: n for n, submap in self.submaps.items() for id_ in submap.poses}
