@@ -11,7 +11,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform
 from nss_ros.multiway.spanning_tree import Poses
 
@@ -55,16 +54,6 @@ def count_on_same_place(one: Poses, other: Poses, transform: Transform) -> int:
     near = np.linalg.norm(moved[:, None] - places, axis=2) < _SAME_PLACE
     stages = [np.array([id_.stage for id_ in part]) for part in (other, one)]
     return int((near & (stages[0][:, None] == stages[1])).sum())
-
-
-def crowded(part: Poses) -> set[FragmentId]:
-    """Fragments of a part that are on the same place as others of their stage."""
-    ids, places = list(part), _places(part)
-    near = np.linalg.norm(places[:, None] - places, axis=2) < _SAME_PLACE
-    stages = np.array([id_.stage for id_ in ids])
-    near &= stages[:, None] == stages
-    np.fill_diagonal(near, val=False)
-    return {id_ for id_, others in zip(ids, near, strict=True) if others.any()}
 
 
 def _places(part: Poses) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

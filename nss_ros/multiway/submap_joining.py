@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from heapq import heappop, heappush
 from itertools import combinations
@@ -22,12 +22,7 @@ from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
 from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.contradictions import are_usual, loss_of_pair, loss_of_parts, noise_of
 from nss_ros.multiway.pose_graph import Alternative, Measurement
-from nss_ros.multiway.spacing import (
-    count_on_same_place,
-    crowded,
-    nearness_loss,
-    on_same_place,
-)
+from nss_ros.multiway.spacing import count_on_same_place, nearness_loss, on_same_place
 from nss_ros.multiway.spanning_tree import Poses
 from nss_ros.multiway.submap import (
     NO_CONFLICT,
@@ -58,8 +53,6 @@ _SURE_ALONE = 0.95
 _SURE = 6.0
 # What a link may have that was not measured.
 _UNMEASURED = 500.0
-# How often fragments on the same place are taken out, and joined again.
-_MOST_RELEASES = 2
 
 
 def joined_submaps(
@@ -110,10 +103,8 @@ class Joining:
         parts = joined_parts(fragments, within, choi.close, _SURE_PAIRS, loss=loss)
         parts = [choi.straightened(part, within) if len(part) > 1 else part for part in parts]
         self._prepared, self._close = prepared, choi.close
-        self._measurements = measurements
         self._asked = {frozenset((m.pair.source, m.pair.target)) for m in measurements}
         self.submaps = {n: Submap.of(_levelled(part), prepared) for n, part in enumerate(parts)}
-        self._next = len(parts)
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
         # A link that was not measured yet, or before one of its submaps grew, has no transform.
         self._links: dict[tuple[int, int], SubmapLink | None] = {}
@@ -126,13 +117,6 @@ class Joining:
         return sorted(all_, key=lambda part: (-len(part), min(part)))
 
     def __iter__(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
-        yield from self._join_asked_and_unasked()
-        for _ in range(_MOST_RELEASES):
-            if not self._release_crowded():
-                break
-            yield from self._join_asked_and_unasked()
-
-    def _join_asked_and_unasked(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
         yield from self._join_while_sure()
         self._link_unasked()
         yield from self._join_while_sure()
@@ -161,40 +145,6 @@ class Joining:
                 self._links[one, other] = None
                 self._wait(np.inf, one, other)
 
-    def _release_crowded(self) -> bool:
-        """Take fragments out that are on the same place as others; whether there were any.
-
-        Each may be the one that is wrong. All else is in place by now, where they came early.
-        """
-        out = {n: crowded(submap.poses) for n, submap in self.submaps.items()}
-        if self._nearness == 0 or not any(out.values()):
-            return False
-        known = {
-            key: link
-            for key, link in self._links.items()
-            if link is not None and not out[key[0]] and not out[key[1]]
-        }
-        for number, released in out.items():
-            if released:
-                self._release(number, released)
-        self._pairs = {n: {} for n in self.submaps}
-        self._links, self._queue = {}, []
-        self._add_pairs(self._measurements)
-        for (one, other), link in known.items():
-            if (one, other) in self._links:
-                self._links[one, other] = link
-                self._wait(self._priority(link.odds, one, other), one, other, link.odds)
-        return True
-
-    def _release(self, number: int, released: Collection[FragmentId]) -> None:
-        """Make a submap of each of these fragments of one, and another of the others."""
-        poses = self.submaps.pop(number).poses
-        kept = {id_: pose for id_, pose in poses.items() if id_ not in released}
-        alone = ({id_: poses[id_]} for id_ in sorted(released))
-        for part in (kept, *alone) if kept else alone:
-            self.submaps[self._next] = Submap.of(part, self._prepared)
-            self._next += 1
-
     def _add_pairs(self, measurements: Sequence[Measurement]) -> None:
         part = {id_: n for n, submap in self.submaps.items() for id_ in submap.poses}
         for m in measurements:
@@ -214,11 +164,11 @@ class Joining:
         heappush(self._queue, (-priority, one, other, odds))
 
     def _guess(self, one: int, other: int) -> float:
-        """Priority of a link that was not measured: as if it were sure, unless both are small."""
+        """Priority of a link that was not measured: as if it were sure, or last if both are small."""
         sizes = [len(self.submaps[each].poses) for each in (one, other)]
-        return (
-            self._priority(_UNMEASURED, one, other) if max(sizes) >= _SMALL else _LATER + sum(sizes)
-        )
+        if max(sizes) < _SMALL:
+            return _LATER + sum(sizes)
+        return self._priority(_UNMEASURED, one, other)
 
     def _priority(self, odds: float, one: int, other: int) -> float:
         """What is joined first: of sure links those of the largest submaps, then the surest.

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import from_yaw, inverse
-from nss_ros.multiway.spacing import count_on_same_place, crowded, nearness_loss, on_same_place
+from nss_ros.multiway.spacing import count_on_same_place, nearness_loss, on_same_place
 from nss_ros.multiway.spanning_tree import Closeness
 from nss_ros.multiway.submap import register_submaps
 
@@ -45,12 +45,6 @@ def test_fragments_of_one_stage_on_one_place_are_counted():
     assert count_on_same_place(one, other, from_yaw(0, (0, 1, 0))) == 0
     assert count_on_same_place(one, other, from_yaw(np.pi, (2, 0.5, 0))) == 2
     assert count_on_same_place(one, part(2, (0, 0), (2, 0)), np.eye(4)) == 0
-
-
-def test_the_fragments_of_one_place_are_named_but_not_those_of_other_stages():
-    poses = part(1, (0, 0), (0.5, 0), (4, 0)) | part(2, (0, 0), (4, 0))
-    assert crowded(poses) == {FragmentId("1", 1, 0), FragmentId("1", 1, 1)}
-    assert crowded(part(1, (0, 0))) == set()
 
 
 def test_storeys_above_each_other_are_not_one_place():

@@ -8,9 +8,7 @@ import pytest
 
 from nss_ros.config import MultiwayConfig
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.geometry import from_yaw
 from nss_ros.multiway.choi import Choi
-from nss_ros.multiway.submap import Submap
 from nss_ros.multiway.submap_joining import Joining, joined_submaps
 
 CHOI = Choi(MultiwayConfig())
@@ -199,20 +197,3 @@ def test_of_sure_links_those_of_large_submaps_come_first(building, ids, pairs):
     assert joining._priority(3.0, one, other) == 3.0
     assert joining._priority(np.inf, one, other) == np.inf
     assert joining._priority(20.0, one, other) > joining._priority(7.0, one, other)
-
-
-def test_fragments_on_the_same_place_are_taken_out_and_joined_again(building, ids, pairs):
-    joining = Joining(ids, [building.right(p) for p in pairs], building.prepared, CHOI)
-    list(joining)
-    assert not joining._release_crowded()
-    ((number, submap),) = joining.submaps.items()
-    wrong, taken = ids[3], ids[0]
-    assert wrong.stage == taken.stage
-    misplaced = submap.poses | {wrong: from_yaw(2.0, (0.3, 0, 0)) @ submap.poses[taken]}
-    joining.submaps[number] = Submap.of(misplaced, building.prepared)
-    assert joining._release_crowded()
-    assert sorted(len(part) for part in joining.parts()) == [1, 1, len(ids) - 2]
-    list(joining)
-    (part,) = joining.parts()
-    assert part.keys() == set(ids)
-    assert_right(building, part)
