@@ -164,7 +164,7 @@ class Joining:
         heappush(self._queue, (-priority, one, other, odds))
 
     def _guess(self, one: int, other: int) -> float:
-        """Priority of a link that was not measured: as if it were sure, or last if both are small."""
+        """Priority of a link that was not measured: as if it were sure, last if both are small."""
         sizes = [len(self.submaps[each].poses) for each in (one, other)]
         if max(sizes) < _SMALL:
             return _LATER + sum(sizes)
