@@ -8,10 +8,13 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 _WATCH_PERIOD = 0.5
+# For the thread of a pool whose processes were killed, seconds.
+_PATIENCE = 0.5
 # With more threads than cores numpy is slower, and its sums depend on the number of threads.
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # glibc gives freed arrays back to the system, which clears them again for the next ones: with its
@@ -63,9 +66,19 @@ def worker_pool(
 
 def stop_now(pool: ProcessPoolExecutor) -> None:
     """End a pool without waiting for what it computes."""
+    manager, calls = (vars(pool)[name] for name in ("_executor_manager_thread", "_call_queue"))
     for process in list((pool._processes or {}).values()):
         process.kill()
-    pool.shutdown(wait=True, cancel_futures=True)
+    pool.shutdown(wait=False, cancel_futures=True)
+    if manager is None:
+        return
+    manager.join(_PATIENCE)
+    if manager.is_alive():
+        # It waits until a call is written into a pipe that only this process could still read
+        # (CPython gh-94777; Python 3.11.2 of Debian 12 has it).
+        with suppress(OSError):
+            calls._reader.close()
+        manager.join()
 
 
 def end_with(parent: int) -> None:

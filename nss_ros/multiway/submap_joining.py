@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, from_rotation, inverse
-from nss_ros.multiway.agglomeration import Ambiguous, joined_parts
+from nss_ros.multiway.agglomeration import Ambiguous, Loss, joined_parts
 from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.contradictions import are_usual, loss_of_pair, loss_of_parts, noise_of
 from nss_ros.multiway.pose_graph import Alternative, Measurement
@@ -100,8 +100,7 @@ class Joining:
             seen = loss_of_parts(one, other, transform, prepared, self._noise)
             return seen + self._nearness * count_on_same_place(one, other, transform)
 
-        parts = joined_parts(fragments, within, choi.close, _SURE_PAIRS, loss=loss)
-        parts = [choi.straightened(part, within) if len(part) > 1 else part for part in parts]
+        parts = _straight_parts(list(fragments), within, choi, loss)
         self._prepared, self._close = prepared, choi.close
         self._asked = {frozenset((m.pair.source, m.pair.target)) for m in measurements}
         self.submaps = {n: Submap.of(_levelled(part), prepared) for n, part in enumerate(parts)}
@@ -237,6 +236,18 @@ class Joining:
             odds = max(old, default=None)
             priority = self._guess(*key) if odds is None else self._priority(odds, *key)
             self._wait(priority, *key)
+
+
+def _straight_parts(
+    fragments: Sequence[FragmentId], within: Sequence[Measurement], choi: Choi, loss: Loss
+) -> list[Poses]:
+    """What pairs of one stage join surely: straightened, parts fit each other better."""
+    parts: list[Poses] = []
+    while True:
+        joined = joined_parts(fragments, within, choi.close, _SURE_PAIRS, parts, loss)
+        if len(joined) == len(parts):
+            return joined
+        parts = [choi.straightened(part, within) if len(part) > 1 else part for part in joined]
 
 
 def _levelled(part: Poses) -> Poses:

@@ -8,8 +8,11 @@ import pytest
 
 from nss_ros.config import MultiwayConfig
 from nss_ros.fragment import FragmentId, FragmentPair
+from nss_ros.geometry import from_yaw, relative
+from nss_ros.multiway.agglomeration import joined_parts
 from nss_ros.multiway.choi import Choi
-from nss_ros.multiway.submap_joining import Joining, joined_submaps
+from nss_ros.multiway.pose_graph import Measurement
+from nss_ros.multiway.submap_joining import Joining, _straight_parts, joined_submaps
 
 CHOI = Choi(MultiwayConfig())
 
@@ -197,3 +200,34 @@ def test_of_sure_links_those_of_large_submaps_come_first(building, ids, pairs):
     assert joining._priority(3.0, one, other) == 3.0
     assert joining._priority(np.inf, one, other) == np.inf
     assert joining._priority(20.0, one, other) > joining._priority(7.0, one, other)
+
+
+def ring(bend, count=16, radius=6.0):
+    """Two halves of a ring of fragments, and two pairs, half sure, at their seams.
+
+    Neighbours are turned by `bend`; fewer and weaker pairs over longer distances are right.
+    """
+    ids = [FragmentId("1", 1, n) for n in range(count)]
+    angles = np.arange(count) * 2 * np.pi / count
+    poses = [from_yaw(a, (radius * np.cos(a), radius * np.sin(a), 0.0)) for a in angles]
+    middle = count // 2
+
+    def measured(one, other, confidence, inliers, turn=0.0):
+        T = relative(poses[one], poses[other]) @ from_yaw(turn, (0, 0, 0))
+        pair = FragmentPair(ids[one], ids[other])
+        return Measurement(pair, T, np.eye(6) * 2500, confidence, inliers, level=True)
+
+    measurements = [measured(0, count - 1, 0.7, 1000), measured(middle - 1, middle, 0.7, 1000)]
+    for half in (range(middle), range(middle, count)):
+        measurements += [measured(n, n + 1, 0.97, 1000, bend) for n in half[:-1]]
+        measurements += [measured(n, n + 3, 0.6, 4000) for n in half[:-3]]
+    return ids, measurements
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.02, 0.03])
+def test_parts_that_fit_each_other_only_when_they_are_straight_are_joined(bend):
+    ids, measurements = ring(bend)
+    bent = joined_parts(ids, measurements, CHOI.close, 3.0)
+    assert len(bent) == (2 if bend else 1)
+    (part,) = _straight_parts(ids, measurements, CHOI, lambda *_: 0.0)
+    assert part.keys() == set(ids)
