@@ -78,7 +78,7 @@ def loss_of_parts(
         noise: of the map's pairs, see `noise_of`.
     """
     largest = 0.0
-    for source, target in _near(one, other, transform):
+    for source, target in nearest_pairs(one, other, transform, _MOST_PAIRS):
         scans = fragments[source], fragments[target]
         if are_usual(*scans):
             pose = relative(transform @ other[source], one[target])
@@ -93,14 +93,23 @@ def are_usual(one: SubmapFragment, other: SubmapFragment) -> bool:
     return evening(one.seen.shape[-1], other.seen.shape[-1]) == 1
 
 
-def _near(one: Poses, other: Poses, transform: Transform) -> list[tuple[FragmentId, FragmentId]]:
-    """Fragments of the other part and of the one, of one stage, that are nearest each other."""
+def nearest_pairs(
+    one: Poses, other: Poses, transform: Transform, count: int
+) -> list[tuple[FragmentId, FragmentId]]:
+    """Fragments of the other part and of the one, of one stage, that are nearest each other.
+
+    Args:
+        one: a part.
+        other: another.
+        transform: from the frame of the other to that of the one.
+        count: most pairs; fewer where others are too far apart to see much of each other.
+    """
     ids, others = list(one), list(other)
     places = np.array([one[id_][:2, 3] for id_ in ids])
     moved = np.array([(transform @ other[id_])[:2, 3] for id_ in others])
     distances = np.linalg.norm(moved[:, None] - places, axis=2)
     stages = np.array([id_.stage for id_ in ids])
     distances[np.array([id_.stage for id_ in others])[:, None] != stages] = np.inf
-    nearest = np.argsort(distances, axis=None, kind="stable")[:_MOST_PAIRS]
+    nearest = np.argsort(distances, axis=None, kind="stable")[:count]
     found = [np.unravel_index(each, distances.shape) for each in nearest]
     return [(others[i], ids[k]) for i, k in found if distances[i, k] < _FARTHEST]

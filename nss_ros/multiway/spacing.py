@@ -23,7 +23,7 @@ _LOSS = 5.0
 _CHANCE, _AROUND = 0.5, 4.0
 
 
-def nearness_loss(transforms: Iterable[Transform]) -> float:
+def loss_on_same_place(transforms: Iterable[Transform]) -> float:
     """What two fragments of one stage on the same place lose in a map, logarithm of the odds.
 
     Nothing where fragments are often on one place, as those of a camera in somebody's hand are.

@@ -25,7 +25,7 @@ from nss_ros.geometry import (
 )
 from nss_ros.icp import Surface, refine
 from nss_ros.multiway.agglomeration import Ambiguous, Votes
-from nss_ros.multiway.contradictions import loss_of_parts
+from nss_ros.multiway.contradictions import loss_of_parts, nearest_pairs
 from nss_ros.multiway.spacing import count_on_same_place
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import Fragments, SubmapFragment
@@ -54,7 +54,7 @@ _NOTHING = 10.0
 # Within a stage nothing moves: points in what others saw to be empty, more than some by the noise
 # of the sensor, speak against a pose. Of each pose the nearest pairs of fragments are looked at.
 _CONFLICT_WEIGHT, NO_CONFLICT = 150.0, 0.02
-_MOST_VIEWS, _VIEW_DISTANCE = 6, 6.0
+_MOST_VIEWS = 6
 # A fragment may itself be misplaced, slid along a wall for example: what each takes at most.
 _MOST_BY_WITNESS = 8.0
 # Scans that reach far see more of each other, so that a wrong place is a smaller share of it.
@@ -151,7 +151,7 @@ def register_submaps(
     pairs: Sequence[Ambiguous],
     close: Closeness,
     noise: float = 0.0,
-    nearness: float = 0.0,
+    same_place_loss: float = 0.0,
 ) -> SubmapLink:
     """The best transform between two submaps.
 
@@ -161,10 +161,10 @@ def register_submaps(
         pairs: with a fragment in each, may be none.
         close: when two transforms agree.
         noise: of contradictions, see `noise_of`.
-        nearness: what two fragments of one stage on the same place lose, see `nearness_loss`.
+        same_place_loss: of two fragments of one stage, see `loss_on_same_place`.
     """
     if len(source.poses) > len(target.poses):
-        link = register_submaps(target, source, pairs, close, noise, nearness)
+        link = register_submaps(target, source, pairs, close, noise, same_place_loss)
         return SubmapLink(link.odds, inverse(link.T_target_source))
     votes = Votes.of(target.poses, source.poses, pairs) if pairs else None
     candidates = _candidates(source, target, votes, close)
@@ -173,7 +173,7 @@ def register_submaps(
         counts = votes.obeyed(votes.agreement(np.array(candidates), close))
         obeyed = int(counts.max())
         candidates = [candidates[each] for each in np.flatnonzero(counts == obeyed)]
-    score_of = _Scoring(source, target, votes, close, nearness)
+    score_of = _Scoring(source, target, votes, close, same_place_loss)
     scored = [(score_of(each), each) for each in candidates]
     scored.sort(key=lambda each: -each[0])
     scans = {**source.scans, **target.scans}
@@ -238,26 +238,26 @@ class _Scoring:
         target: on which.
         votes: of the pairs between them, if there are any.
         close: when two transforms agree.
-        nearness: what two fragments of one stage on the same place lose.
+        same_place_loss: of two fragments of one stage.
     """
 
     source: Submap
     target: Submap
     votes: Votes | None
     close: Closeness
-    nearness: float
+    same_place_loss: float
 
     def __call__(self, transform: Transform, contradiction: float = 0.0) -> float:
         source, target = self.source, self.target
         share = evening(source.cells, target.cells)
         score = share * canvas_score(source.canvas, target.canvas, transform)
         score -= self._by_views(transform, contradiction, wide=share < 1)
-        score -= self.nearness * count_on_same_place(target.poses, source.poses, transform)
+        score -= self.same_place_loss * count_on_same_place(target.poses, source.poses, transform)
         return score + self._by_pairs(transform)
 
     def _by_views(self, transform: Transform, contradiction: float, *, wide: bool) -> float:
         """What is lost by what scanners of one stage see of each other."""
-        near = _near_views(self.source, self.target, transform)
+        near = nearest_pairs(self.target.poses, self.source.poses, transform, _MOST_VIEWS)
         loss = contradiction + conflict_loss(
             _conflict(self.source, self.target, transform, near), wide=wide
         )
@@ -285,20 +285,6 @@ def conflict_loss(conflict: float, wide: bool) -> float:
     """
     weight, none = (_WIDE_WEIGHT, WIDE_NONE) if wide else (_CONFLICT_WEIGHT, NO_CONFLICT)
     return weight * max(conflict - none, 0.0)
-
-
-def _near_views(
-    source: Submap, target: Submap, transform: Transform
-) -> list[tuple[FragmentId, FragmentId]]:
-    """Fragments of source and target, of one stage, that are nearest each other."""
-    near = []
-    for id_, pose in source.poses.items():
-        placed = transform @ pose
-        for other, there in target.poses.items():
-            distance = float(np.hypot(*(placed - there)[:2, 3]))
-            if other.stage == id_.stage and distance < _VIEW_DISTANCE:
-                near.append((distance, id_, other))
-    return [(id_, other) for _, id_, other in sorted(near)[:_MOST_VIEWS]]
 
 
 def _conflict(

@@ -22,7 +22,7 @@ from nss_ros.multiway.agglomeration import Ambiguous, Loss, joined_parts
 from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.contradictions import are_usual, loss_of_pair, loss_of_parts, noise_of
 from nss_ros.multiway.pose_graph import Alternative, Measurement
-from nss_ros.multiway.spacing import count_on_same_place, nearness_loss, on_same_place
+from nss_ros.multiway.spacing import count_on_same_place, loss_on_same_place, on_same_place
 from nss_ros.multiway.spanning_tree import Poses
 from nss_ros.multiway.submap import (
     NO_CONFLICT,
@@ -51,7 +51,7 @@ _SURE_ALONE = 0.95
 # Logarithm of the odds from which it counts more how large the submaps of a link are than how sure
 # it is.
 _SURE = 6.0
-# What a link may have that was not measured.
+# What a link is thought to have until it is measured: more than any, so that the largest are first.
 _UNMEASURED = 500.0
 
 
@@ -87,18 +87,18 @@ class Joining:
     ) -> None:
         probable = [m for m in measurements if m.pair.same_stage and m.confidence > _PROBABLE]
         self._noise = _noise(probable, prepared)
-        self._nearness = nearness_loss(
+        self._same_place_loss = loss_on_same_place(
             m.T_target_source for m in probable if m.confidence > _SURE_ALONE
         )
         within = [
-            _doubted(m, prepared, self._noise, self._nearness)
+            _doubted(m, prepared, self._noise, self._same_place_loss)
             for m in measurements
             if m.pair.same_stage
         ]
 
         def loss(one: Poses, other: Poses, transform: Transform) -> float:
             seen = loss_of_parts(one, other, transform, prepared, self._noise)
-            return seen + self._nearness * count_on_same_place(one, other, transform)
+            return seen + self._same_place_loss * count_on_same_place(one, other, transform)
 
         parts = _straight_parts(list(fragments), within, choi, loss)
         self._prepared, self._close = prepared, choi.close
@@ -189,7 +189,7 @@ class Joining:
             pairs,
             self._close,
             self._noise,
-            self._nearness,
+            self._same_place_loss,
         )
         if not pairs:
             silence = self._silence(self.submaps[one], self.submaps[other], link.T_target_source)
@@ -275,7 +275,9 @@ def _noise(probable: Sequence[Measurement], prepared: Fragments) -> float:
     )
 
 
-def _doubted(m: Measurement, prepared: Fragments, noise: float, nearness: float) -> Measurement:
+def _doubted(
+    m: Measurement, prepared: Fragments, noise: float, same_place_loss: float
+) -> Measurement:
     """A measurement within a stage, its hypotheses less probable the more conflict they have."""
     if m.manual:
         return m
@@ -283,7 +285,7 @@ def _doubted(m: Measurement, prepared: Fragments, noise: float, nearness: float)
     listed = (first, *m.alternatives)
     transforms = [each.T_target_source for each in listed]
     losses = [
-        loss + nearness * on_same_place(each)
+        loss + same_place_loss * on_same_place(each)
         for loss, each in zip(_losses(m, transforms, prepared, noise), transforms, strict=True)
     ]
     ranked = [

@@ -76,6 +76,15 @@ class Graph:
         self.wait(future.done)
         return future.result()
 
+    def publishers(self, types: dict) -> dict:
+        """A publisher of the test for each topic, of the type that is given for it."""
+        from nss_ros.nodes.qos import publisher_qos
+
+        return {
+            topic: self.node.create_publisher(message_type, topic.name, publisher_qos(topic))
+            for topic, message_type in types.items()
+        }
+
     def listen(self, topic, message_type: type) -> list:
         """The messages of a topic, appended as they come."""
         from nss_ros.nodes.qos import subscription_qos

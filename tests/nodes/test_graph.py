@@ -22,7 +22,6 @@ from nss_ros import topics
 from nss_ros.bag import read_log
 from nss_ros.bag_writer import BagWriter
 from nss_ros.messages import pose_message, rosidl_family
-from nss_ros.nodes.qos import publisher_qos
 
 pytestmark = pytest.mark.ros
 
@@ -244,9 +243,7 @@ def test_services_of_the_pose_graph(graph, room_bag, room, tmp_path):
 
 def test_a_pair_of_unknown_fragments_is_answered(graph):
     answers = graph.listen(topics.RELATIVE_TRANSFORMS, RelativeTransform)
-    pairs = graph.node.create_publisher(
-        FragmentPair, "fragment_pairs", publisher_qos(topics.FRAGMENT_PAIRS)
-    )
+    (pairs,) = graph.publishers({topics.FRAGMENT_PAIRS: FragmentPair}).values()
     graph.start("registration", fragment_timeout=1.0)
     pairs.publish(FragmentPair(source_id="Bldg1_Stage1_Spot1", target_id="Bldg1_Stage1_Spot2"))
     pairs.publish(FragmentPair(source_id="what", target_id="ever"))

@@ -34,7 +34,6 @@ from nss_ros.messages import (
 )
 from nss_ros.multiway.multi_stage_map import map_points
 from nss_ros.multiway.pose_graph import PoseGraph as PoseGraphOfCore
-from nss_ros.nodes.qos import publisher_qos
 from nss_ros.registration import relative_transform
 
 pytestmark = pytest.mark.ros
@@ -51,14 +50,13 @@ class Feed:
         (truth,) = log.ground_truth
         self.fragments, self.pairs = log.fragments, log.pairs
         self.poses = {id_: node.T_map_fragment for id_, node in truth.poses().items()}
-        self._publishers = {
-            topic: graph.node.create_publisher(kind, topic.name, publisher_qos(topic))
-            for kind, topic in (
-                (FragmentMessage, topics.FRAGMENTS),
-                (PairMessage, topics.FRAGMENT_PAIRS),
-                (RelativeTransform, topics.RELATIVE_TRANSFORMS),
-            )
-        }
+        self._publishers = graph.publishers(
+            {
+                topics.FRAGMENTS: FragmentMessage,
+                topics.FRAGMENT_PAIRS: PairMessage,
+                topics.RELATIVE_TRANSFORMS: RelativeTransform,
+            }
+        )
         self._family = rosidl_family()
 
     def ids(self, stage, *spots):

@@ -14,7 +14,6 @@ from nss_ros.messages import (
     relative_transform_message,
     rosidl_family,
 )
-from nss_ros.nodes.qos import publisher_qos
 from nss_ros.nodes.viewer import LiveView
 from nss_ros.registration import relative_transform
 from nss_ros.viewing.scene import Scene
@@ -27,14 +26,13 @@ pytest.importorskip("rerun")
 def test_a_late_viewer_draws_what_was_published_before(graph, room, tmp_path):
     from rerun.chunk import RrdReader
 
-    publishers = {
-        topic: graph.node.create_publisher(kind, topic.name, publisher_qos(topic))
-        for kind, topic in (
-            (Fragment, topics.FRAGMENTS),
-            (RelativeTransform, topics.RELATIVE_TRANSFORMS),
-            (PoseGraph, topics.POSE_GRAPH),
-        )
-    }
+    publishers = graph.publishers(
+        {
+            topics.FRAGMENTS: Fragment,
+            topics.RELATIVE_TRANSFORMS: RelativeTransform,
+            topics.POSE_GRAPH: PoseGraph,
+        }
+    )
     family = rosidl_family()
     for fragment in room.fragments:
         publishers[topics.FRAGMENTS].publish(fragment_message(fragment, 1, family))

@@ -6,7 +6,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nss_msgs.msg import FragmentPose, PlaybackStatus, PoseGraph
 from nss_ros import topics
 from nss_ros.nodes.monitor import Monitor
-from nss_ros.nodes.qos import publisher_qos
+
+pytestmark = pytest.mark.ros
 
 FRAGMENTS = 4
 
@@ -21,14 +22,12 @@ def monitor():
 @pytest.fixture
 def say(graph, monitor):
     """Publish a message and let the monitor hear it; how far it is then."""
-    publishers = {
-        message_type: graph.node.create_publisher(message_type, topic.name, publisher_qos(topic))
-        for message_type, topic in (
-            (PlaybackStatus, topics.PLAYBACK_STATUS),
-            (PoseGraph, topics.POSE_GRAPH),
-            (DiagnosticArray, topics.DIAGNOSTICS),
-        )
+    types = {
+        topics.PLAYBACK_STATUS: PlaybackStatus,
+        topics.POSE_GRAPH: PoseGraph,
+        topics.DIAGNOSTICS: DiagnosticArray,
     }
+    publishers = {types[topic]: each for topic, each in graph.publishers(types).items()}
     graph.wait(lambda: all(each.get_subscription_count() for each in publishers.values()))
 
     def publish(message):
