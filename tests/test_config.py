@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,20 @@ def test_overrides_win_over_the_file_and_the_file_over_defaults(tmp_path: Path):
 )
 def test_a_wrong_override_is_named(override: str, message: str):
     with pytest.raises(ConfigError, match=message):
+        load_config(None, [override])
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("registration.voxle_size=1", "did you mean 'registration.voxel_size'?"),
+        ("registration.icp.iteration=1", "did you mean 'registration.icp.iterations'?"),
+        ("registraton.seed=1", "did you mean 'registration'?"),
+        ("nodes=3", "there are player, registration, pose_graph, recorder, simulation, dataset."),
+    ],
+)
+def test_of_a_name_that_is_no_setting_the_right_one_is_told(override: str, message: str):
+    with pytest.raises(ConfigError, match=re.escape(message)):
         load_config(None, [override])
 
 

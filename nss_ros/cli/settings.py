@@ -11,6 +11,7 @@ import yaml
 from nss_ros.cli.map import ConfigOption, SetOption
 from nss_ros.cli.output import print_json
 from nss_ros.config import load_config, write_config
+from nss_ros.errors import InputError
 from nss_ros.multiway.synchronizer import synchronizer_names
 from nss_ros.registration.method import method_names
 
@@ -24,6 +25,8 @@ def config(
 ) -> None:
     """Print all settings with their values as YAML, to be changed and given to --config."""
     settings = load_config(config_, set_)
+    if output and output.exists():
+        raise InputError(f"{output} exists already: choose another name or remove it.")
     if output:
         write_config(settings, output)
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -83,9 +84,28 @@ def validated(model: type[T], data: Any, origin: str) -> T:
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"]) or "the configuration"
+        if first["type"] == "extra_forbidden":
+            hint = _known_settings(model, first["loc"])
+            raise ConfigError(f"There is no setting '{name}' ({origin}){hint}") from error
         raise ConfigError(
             f"Setting '{name}' in {origin} is not valid: {first['msg']} (got {first['input']!r})."
         ) from error
+
+
+def _known_settings(model: type[Section], location: tuple[int | str, ...]) -> str:
+    """What a name that does not exist may have meant, as the end of a sentence."""
+    *sections, unknown = location
+    for section in sections:
+        field = model.model_fields.get(str(section))
+        if field is None or not (
+            isinstance(field.annotation, type) and issubclass(field.annotation, Section)
+        ):
+            return "."
+        model = field.annotation
+    close = get_close_matches(str(unknown), model.model_fields, 1)
+    if close:
+        return f": did you mean '{'.'.join([*map(str, sections), *close])}'?"
+    return f": there are {', '.join(model.model_fields)}."
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
