@@ -69,16 +69,22 @@ def map_(
     settings = load_config(config, overrides, defaults=["player.rate=0"])
     run_mapping = _import_mapping()
     begin = time.monotonic()
-    with ProgressDisplay(quiet=json) as display:
-        progress = run_mapping(
-            bags,
-            output,
-            settings,
-            namespace=namespace,
-            registration_nodes=registration_nodes,
-            timeout=timeout,
-            report=display.update,
-        )
+    try:
+        with ProgressDisplay(quiet=json) as display:
+            progress = run_mapping(
+                bags,
+                output,
+                settings,
+                namespace=namespace,
+                registration_nodes=registration_nodes,
+                timeout=timeout,
+                report=display.update,
+            )
+    except KeyboardInterrupt:
+        if output.exists():
+            sentence = f"Interrupted: what was recorded until then is in {output}."
+            Console(stderr=True).print(sentence, soft_wrap=True, highlight=False, markup=False)
+        raise
     seconds = time.monotonic() - begin
     if json:
         print_json(

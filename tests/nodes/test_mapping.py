@@ -260,4 +260,5 @@ def test_ctrl_c_closes_the_log(tmp_path, room_bag):
     _, errors = run.communicate(timeout=120)
     assert run.returncode == 130
     assert "Traceback" not in errors
+    assert f"what was recorded until then is in {log}" in errors
     assert not read_log(log).partial
