@@ -27,7 +27,9 @@ run_tests() {
   check ruff check .
   check ruff format --check .
   check mypy
-  check pytest --cov --cov-report=term:skip-covered "$@"
+  # Two tests at a time, or four: many of them wait for nodes. "-n 0" runs them one by one.
+  check pytest -n logical --maxprocesses 4 --dist worksteal \
+    --cov --cov-report=term:skip-covered "$@"
   if ((${#failed[@]})); then
     printf 'nss test: failed: %s\n' "${failed[@]}" >&2
     exit 1

@@ -52,6 +52,7 @@ class Graph:
         self.node = rclpy.create_node("tester", context=self.context)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
+        self._clients: dict = {}
 
     def start(self, executable: str, name: str = "", **changes):
         """Start a node with the test's settings and some changed ones; the process."""
@@ -64,17 +65,34 @@ class Graph:
         return (self.directory / f"{name}.log").read_text()
 
     def wait(self, condition: Callable[[], object], timeout: float = 180.0) -> None:
-        deadline = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < deadline, self._outputs()
-            self._executor.spin_once(timeout_sec=0.05)
+        assert self._comes_true(condition, timeout), self._outputs()
+
+    def wait_until_settled(self, graphs: list, pairs: int, fragments: int) -> None:
+        """Until a map has all answers and all fragments, which come in any order."""
+        self.wait(
+            lambda: (
+                graphs
+                and graphs[-1].settled
+                and graphs[-1].pairs_answered >= pairs
+                and len(graphs[-1].nodes) >= fragments
+            )
+        )
 
     def call(self, service_type: type, name: str, **fields):
-        client = self.node.create_client(service_type, name)
+        """The answer of a service.
+
+        It is asked again when no answer comes: that of a node which has not found the client yet
+        is lost, and on a busy machine finding takes longer than DDS waits.
+        """
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(service_type, name)
+        client = self._clients[name]
         self.wait(client.service_is_ready)
-        future = client.call_async(service_type.Request(**fields))
-        self.wait(future.done)
-        return future.result()
+        for _ in range(4):
+            future = client.call_async(service_type.Request(**fields))
+            if self._comes_true(future.done, 45.0):
+                return future.result()
+        raise AssertionError(f"{name} does not answer: {self._outputs()}")
 
     def publishers(self, types: dict) -> dict:
         """A publisher of the test for each topic, of the type that is given for it."""
@@ -100,6 +118,14 @@ class Graph:
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
+
+    def _comes_true(self, condition: Callable[[], object], timeout: float) -> bool:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._executor.spin_once(timeout_sec=0.05)
+        return True
 
     def _outputs(self) -> str:
         return "\n".join(

@@ -31,10 +31,6 @@ def set_parameter(graph, node: str, name: str, value):
     return graph.call(SetParameters, f"/{node}/set_parameters", parameters=[request]).results[0]
 
 
-def settled(graphs: list, pairs: int):
-    return lambda: bool(graphs) and graphs[-1].settled and graphs[-1].pairs_answered >= pairs
-
-
 def test_late_joiners_get_everything(graph, room_bag, room):
     statuses = graph.listen(topics.PLAYBACK_STATUS, PlaybackStatus)
     graph.start("fragment_player", bags=[str(room_bag)], wait_for_subscribers=0.5)
@@ -44,7 +40,7 @@ def test_late_joiners_get_everything(graph, room_bag, room):
     graph.wait(lambda: len(answers) == len(room.pairs))
     graph.start("pose_graph")
     graphs = graph.listen(topics.POSE_GRAPH, PoseGraph)
-    graph.wait(settled(graphs, len(room.pairs)))
+    graph.wait_until_settled(graphs, len(room.pairs), len(room.fragments))
     clouds = graph.listen(topics.MAP, PointCloud2)
     stage = graph.listen(topics.stage_map(2), PointCloud2)
     graph.wait(lambda: clouds and stage)
@@ -71,7 +67,7 @@ def test_a_restarted_worker_answers_only_what_is_open(graph, room_bag, room):
     graph.wait(lambda: graphs and len(graphs[-1].edges) >= 3)
     first.kill()
     graph.start("registration", "registration_again")
-    graph.wait(settled(graphs, len(room.pairs)))
+    graph.wait_until_settled(graphs, len(room.pairs), len(room.fragments))
     # What was on its way to the pose graph at the kill is answered again, with the same result.
     poses: dict = {}
     for answer in answers:
@@ -158,7 +154,7 @@ def test_services_of_the_pose_graph(graph, room_bag, room, tmp_path):
 
     graph.start("registration")
     graph.start("fragment_player", bags=[str(room_bag)])
-    graph.wait(settled(graphs, len(room.pairs)))
+    graph.wait_until_settled(graphs, len(room.pairs), len(room.fragments))
 
     saved = graph.call(MapFile, "/pose_graph/save_map", path=str(tmp_path / "map"))
     assert saved.code == MapFile.Response.OK, saved.message
@@ -233,7 +229,7 @@ def test_services_of_the_pose_graph(graph, room_bag, room, tmp_path):
     graph.wait(lambda: len(graphs[-1].nodes) == 0)
     loaded = graph.call(MapFile, "/pose_graph/load_map", path=str(tmp_path / "map"))
     assert loaded.code == MapFile.Response.OK, loaded.message
-    graph.wait(settled(graphs, len(room.pairs)))
+    graph.wait_until_settled(graphs, len(room.pairs), len(room.fragments))
     placed = [node for node in graphs[-1].nodes if node.status == 1 and node.component == 0]
     assert len(placed) == len(room.fragments)
     assert read_log(tmp_path / "map").pose_graph.poses().keys() == {

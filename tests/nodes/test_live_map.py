@@ -122,7 +122,7 @@ def live(graph):
     feed.ask(pairs)
     for number, pair in enumerate(pairs):
         feed.answer(pair, right=number > 0)
-    graph.wait(lambda: graphs and graphs[-1].settled and graphs[-1].pairs_answered == len(pairs))
+    graph.wait_until_settled(graphs, len(pairs), len(old))
     assert submap_edges(graphs[-1])
     assert [status(graphs[-1], pair) for pair in pairs] == [1] + [0] * (len(pairs) - 1)
     return feed, old, pairs, graphs
@@ -187,7 +187,7 @@ def test_clouds_come_seldom_but_the_settled_map_does(graph):
         feed.answer(pair)
         graph.wait(lambda count=count: len(graphs) > count)
     feed.answer(pairs[-1])
-    graph.wait(lambda: graphs[-1].settled and graphs[-1].pairs_answered == len(pairs))
+    graph.wait_until_settled(graphs, len(pairs), len(ids))
 
     def expected():
         fragments = {id_: Fragment(id_, voxelize(feed.fragments[id_].points, 0.05)) for id_ in ids}
@@ -244,7 +244,7 @@ def test_components_are_shown_in_frames_of_their_own(graph):
     feed.give([*large, *small])
     for pair in pairs:
         feed.answer(pair)
-    graph.wait(lambda: graphs and graphs[-1].settled and graphs[-1].pairs_answered == len(pairs))
+    graph.wait_until_settled(graphs, len(pairs), len(large) + len(small))
     poses = pose_graph_from(graphs[-1]).poses()
     assert {id_: node.component for id_, node in poses.items()} == dict.fromkeys(
         large, 0
