@@ -66,7 +66,8 @@ def test_ray_gives_the_same_as_this_process(room, monkeypatch):
     """A real Ray on this machine, with two processes."""
     ray = pytest.importorskip("ray")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    # One of its own: another test may have one on this machine.
+    ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         assert list(run(abs, range(-4, 3), engine=Engine.RAY)) == [4, 3, 2, 1, 0, 1, 2]
         poses = {node.id: node.T_map_fragment for node in room.ground_truth.nodes}

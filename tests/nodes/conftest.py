@@ -19,16 +19,28 @@ from nss_ros.config import load_config
 from nss_ros.nodes.launcher import Launcher
 from nss_ros.nodes.parameters import ros_parameters
 
-_DOMAINS = itertools.count(os.getpid() % 90)
+# Tests run several at a time, by workers that have 20 domains each.
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 4
+_DOMAINS = itertools.count(os.getpid() % 20)
 
 
 @pytest.fixture(autouse=True)
 def domain(monkeypatch) -> int:
     """A ROS domain that no other test uses at the same time, on this machine only."""
-    number = 10 + next(_DOMAINS) % 90
+    number = 10 + 20 * _WORKER + next(_DOMAINS) % 20
     monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return number
+
+
+@pytest.fixture(scope="module")
+def domain_of_module() -> Iterator[int]:
+    """A ROS domain for what the tests of a module share."""
+    number = 5 + _WORKER
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(number))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        yield number
 
 
 @pytest.fixture(scope="session")

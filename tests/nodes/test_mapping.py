@@ -26,9 +26,8 @@ SETTINGS = ["player.rate=0", "pose_graph.update_period=0.5"]
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory, room_bag):
+def log(tmp_path_factory, room_bag, domain_of_module):  # noqa: ARG001 - it is run there
     """The log of one undisturbed run, for all to compare with."""
-    os.environ["ROS_DOMAIN_ID"] = "9"
     output = tmp_path_factory.mktemp("runs") / "log"
     run_mapping([room_bag], output, load_config(None, SETTINGS), timeout=400)
     return read_log(output)
