@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from nss_ros.config import MultiwayConfig
-from nss_ros.fragment import FragmentId, FragmentPair
+from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import from_yaw, relative
 from nss_ros.multiway.agglomeration import joined_parts
 from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.pose_graph import Measurement
+from nss_ros.multiway.solver import prepared_by
 from nss_ros.multiway.submap_joining import Joining, _straight_parts, joined_submaps
 
 CHOI = Choi(MultiwayConfig())
@@ -83,6 +84,26 @@ def test_few_fragments_are_not_joined_without_pairs(building):
     ids = [*building.spots(1, 1, 2), *building.spots(2, 5, 6)]
     parts = joined(building, ids, [])
     assert [list(part) for part in parts] == [[id_] for id_ in sorted(ids)]
+
+
+def test_a_fragment_that_saw_little_is_left_out_unless_a_pair_tells_its_place(building):
+    """Floor and ceiling about its tripod fit in many places, in one of them best."""
+    ids = building.spots(1, 1, 2, 4, 6, 7)
+    (new,) = building.spots(1, 5)
+    points = building.fragments[new].points
+    little = points[np.linalg.norm(points[:, :2], axis=1) < 2.0]
+    prepared = building.prepared | prepared_by(MultiwayConfig(), [Fragment(new, little, True)])
+    known = [building.right(pair) for pair in building.asked(ids)]
+    asked = [pair for pair in building.asked([*ids, new]) if new in (pair.source, pair.target)]
+    assert len(asked) > 2
+
+    wrong = [building.wrong(pair, number, 0.5) for number, pair in enumerate(asked)]
+    parts = joined_submaps([*ids, new], [*known, *wrong], prepared, CHOI)
+    assert [part.keys() for part in parts] == [set(ids), {new}]
+
+    right = [building.right(pair) for pair in asked]
+    (part,) = joined_submaps([*ids, new], [*known, *right], prepared, CHOI)
+    assert_right(building, part)
 
 
 def elsewhere(building, ids):
