@@ -12,13 +12,12 @@ from nss_ros.config import RegistrationConfig
 from nss_ros.errors import BagError, InputError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.parallel import run
+from nss_ros.registration.gravity.evidence import pair_evidence, sketch
 from nss_ros.registration.gravity.proposals import (
     PAIRS_PER_CALL,
     Sketch,
     evidence_calls,
-    pair_evidence,
     proposed_pairs,
-    sketch,
 )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
+from collections.abc import Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -16,13 +17,7 @@ from pathlib import Path
 from nss_ros.config import ProposalConfig, RegistrationConfig
 from nss_ros.errors import RunError
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.registration.gravity.proposals import (
-    Sketch,
-    evidence_calls,
-    pair_evidence,
-    proposed_pairs,
-    sketch,
-)
+from nss_ros.registration.gravity.proposals import Sketch, evidence_calls, proposed_pairs
 from nss_ros.worker_process import stop_now, worker_pool
 
 
@@ -160,9 +155,7 @@ class Proposer:
             for pair in self._candidates(round_.newcomers)
             if (first := self._sketches[pair.source]) and (second := self._sketches[pair.target])
         ]
-        round_.evidence = [
-            self._pool.submit(pair_evidence, call) for call in evidence_calls(looked_at)
-        ]
+        round_.evidence = [self._pool.submit(_evidence, call) for call in evidence_calls(looked_at)]
 
     def _chosen(
         self, newcomers: list[FragmentId], evidence: dict[FragmentPair, float]
@@ -195,5 +188,14 @@ class Proposer:
         ]
 
 
+# Only worker processes look at fragments: with torch, the node would start seconds later.
 def _sketch(file: Path, config: RegistrationConfig) -> Sketch | None:
+    from nss_ros.registration.gravity.evidence import sketch
+
     return sketch(pickle.loads(file.read_bytes()), config)
+
+
+def _evidence(pairs: Sequence[tuple[Sketch, Sketch]]) -> dict[FragmentPair, float]:
+    from nss_ros.registration.gravity.evidence import pair_evidence
+
+    return pair_evidence(pairs)

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -29,6 +31,14 @@ pytestmark = pytest.mark.ros
 def set_parameter(graph, node: str, name: str, value):
     request = Parameter(name, value=value).to_parameter_msg()
     return graph.call(SetParameters, f"/{node}/set_parameters", parameters=[request]).results[0]
+
+
+def test_no_node_waits_for_torch():
+    """Its worker processes need it; it takes seconds to import."""
+    names = ("fragment_player", "registration", "pose_graph", "recorder")
+    modules = ", ".join(f"nss_ros.nodes.{name}" for name in names)
+    code = f"import sys, {modules}; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_late_joiners_get_everything(graph, room_bag, room):

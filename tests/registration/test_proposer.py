@@ -11,7 +11,8 @@ from nss_ros.bag import read_log
 from nss_ros.config import ProposalConfig, RegistrationConfig
 from nss_ros.errors import RunError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
-from nss_ros.registration.gravity.proposals import pair_evidence, proposed_pairs, sketch
+from nss_ros.registration.gravity.evidence import pair_evidence, sketch
+from nss_ros.registration.gravity.proposals import proposed_pairs
 from nss_ros.registration.proposer import Proposer
 
 CONFIG = RegistrationConfig()
