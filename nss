@@ -27,7 +27,7 @@ run_tests() {
   check ruff check .
   check ruff format --check .
   check mypy
-  # Two tests at a time, or four: many of them wait for nodes. "-n 0" runs them one by one.
+  # As many tests at a time as there are cores, four at most. "-n 0" runs them one by one.
   check pytest -n logical --maxprocesses 4 --dist worksteal \
     --cov --cov-report=term:skip-covered "$@"
   if ((${#failed[@]})); then

@@ -41,7 +41,7 @@ _SURE_PAIRS, _LEAST_ODDS = 3.0, 0.0
 # A fragment that saw little, in the middle of a hall for example, fits some place of a large submap
 # with less than this: of 28 such, in four buildings, 15 were in their place. They come last, and
 # none by what another of them says, or one that is wrong has others go wrong.
-_LEAST_ODDS_ALONE = 3.0
+_DOUBTFUL = 3.0
 # Submaps between which no pair was asked for may well not touch: logarithm of the odds of that,
 # at least. Fragments with less than this between their sensors, metres, tell how much they are;
 # of them a share is never asked for.
@@ -144,19 +144,19 @@ class Joining:
     def _join_doubtful(self) -> Iterator[tuple[float, Submap, Submap, SubmapLink]]:
         """Single fragments that fit by little, where they fit best beside all that is sure."""
         links = [
-            (link.odds, one, other, link)
-            for (one, other), link in sorted(self._links.items())
+            (link, one, other)
+            for (one, other), link in self._links.items()
             if link is not None and self._is_doubtful(link.odds, one, other)
         ]
-        for odds, one, other, link in sorted(links, key=lambda each: -each[0]):
+        for link, one, other in sorted(links, key=lambda each: (-each[0].odds, *each[1:])):
             if one in self.submaps and other in self.submaps:
-                yield odds, self.submaps[one], self.submaps[other], link
+                yield link.odds, self.submaps[one], self.submaps[other], link
                 self._join(one, other, link)
 
     def _is_doubtful(self, odds: float, one: int, other: int) -> bool:
-        """Whether a link of a single fragment and a large submap is true by chance, maybe."""
+        """Whether a single fragment fits a large submap, but so little that it may be by chance."""
         small, large = sorted(len(self.submaps[each].poses) for each in (one, other))
-        return small == 1 and large >= _SMALL and _LEAST_ODDS <= odds < _LEAST_ODDS_ALONE
+        return small == 1 and large >= _SMALL and _LEAST_ODDS <= odds < _DOUBTFUL
 
     def _link_unasked(self) -> None:
         """Links of large submaps of one area between which no pair was asked for."""

@@ -24,7 +24,7 @@ from nss_ros.registration.gravity.coarse import (
     turned_by_frequency,
 )
 from nss_ros.registration.gravity.method import feature_maps
-from nss_ros.registration.gravity.proposals import Sketch, alike
+from nss_ros.registration.gravity.proposals import Sketch, work_key
 from nss_ros.registration.gravity.scan import fitting_scan_of
 from nss_ros.registration.gravity.weights import load_weights
 from nss_ros.registration.gravity.wide import evening
@@ -55,7 +55,7 @@ def pair_evidence(pairs: Sequence[tuple[Sketch, Sketch]]) -> dict[FragmentPair, 
     torch.set_num_threads(1)
     evidence: dict[FragmentPair, float] = {}
     with torch.inference_mode():
-        for (id_, same_stage, _), together in groupby(pairs, key=alike):
+        for (id_, same_stage, _), together in groupby(pairs, key=work_key):
             some = list(together)
             targets = [target for _, target in some]
             found = _evidence(some[0][0], targets, int(same_stage))

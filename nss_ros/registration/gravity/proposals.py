@@ -35,11 +35,11 @@ def evidence_calls(
     pairs: Sequence[tuple[Sketch, Sketch]],
 ) -> list[Sequence[tuple[Sketch, Sketch]]]:
     """Pairs, those of a source together, divided into calls of `pair_evidence` for workers."""
-    pairs = sorted(pairs, key=alike)
+    pairs = sorted(pairs, key=work_key)
     return [pairs[start : start + PAIRS_PER_CALL] for start in range(0, len(pairs), PAIRS_PER_CALL)]
 
 
-def alike(pair: tuple[Sketch, Sketch]) -> tuple[FragmentId, bool, int]:
+def work_key(pair: tuple[Sketch, Sketch]) -> tuple[FragmentId, bool, int]:
     """Pairs of which this is the same share what is made of their source."""
     source, target = pair
     return source.id, source.id.stage == target.id.stage, target.maps.shape[-1]
