@@ -50,6 +50,13 @@ class SiteConfig(Section):
     clutter: float = Field(
         1.0, ge=0, le=3, description="Factor of the number of things that lie about"
     )
+    temporary: float = Field(
+        0.0,
+        ge=0,
+        le=3,
+        description="Factor of the number of small and hanging things of the works: offcuts, sacks, "
+        "lamps, hoses, cables, dust sheets; 0: none",
+    )
     pace: float = Field(1.0, gt=0, le=2, description="Factor of the work done between stages")
     stagger: float = Field(
         1.0, ge=0, le=3, description="Factor of how far the zones of a floor are out of step"

@@ -1,7 +1,7 @@
 """Where things stand: rubbish, stacks and tools that move from stage to stage, and furniture.
 
 Whatever is put down stands neither in a wall or a column, nor in the swing of a door, nor in
-another thing.
+another thing. What hangs from the ceiling may be anywhere.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from nss_ros.config import SiteConfig
 from nss_ros.geometry import from_yaw
 from nss_ros.simulation.element import Element, stages_from
-from nss_ros.simulation.mesh import Mesh, moved
+from nss_ros.simulation.mesh import Mesh, merge, moved
 from nss_ros.simulation.procedural.ceilings import RAISED_HEIGHT
 from nss_ros.simulation.procedural.furniture import furnish
 from nss_ros.simulation.procedural.layout import Layout, Room, RoomKind
 from nss_ros.simulation.procedural.plan import COLUMN_WIDTH, Plan
-from nss_ros.simulation.procedural.programme import FURNITURE, Programme
+from nss_ros.simulation.procedural.programme import CEILING_GRIDS, FURNITURE, Programme
+from nss_ros.simulation.procedural.temporary import TEMPORARIES, Temporary
 from nss_ros.simulation.procedural.things import DENSITIES, STAYS, Thing, draw_thing
 from nss_ros.simulation.site import Rectangle
 
@@ -61,13 +62,14 @@ def build_contents(
         layout: rooms, and walls whose doors are kept free.
         raised: stages at which a room's floor is raised, by its name.
         programme: of the works.
-        config: how much clutter, and how far furniture stands out of place.
+        config: how much clutter and how many temporary things, and how far furniture stands out
+            of place.
         rng: of everything.
 
     Returns:
         Elements in the map frame.
     """
-    furniture_rng, clutter_rng = rng.spawn(2)
+    furniture_rng, clutter_rng, temporary_rng = rng.spawn(3)
     doors, columns = _doors(layout, plan), _columns(plan)
     elements = []
     for room in layout.rooms:
@@ -76,6 +78,8 @@ def build_contents(
         elements += _furnished(floor, programme, config, furniture_rng)
         if not programme.former and config.clutter > 0:
             elements += _cluttered(floor, programme, config.clutter, clutter_rng)
+        if not programme.former and config.temporary > 0:
+            elements += _temporary(floor, programme, config.temporary, temporary_rng)
     return elements
 
 
@@ -140,13 +144,10 @@ def _cluttered(
     share = _CORRIDOR_SHARE if room.kind is RoomKind.CORRIDOR else 1.0
     density = np.array(DENSITIES) * (amount * share)
     for stage in range(1, programme.stages + 1):
-        phase = int(np.searchsorted(_PHASE_STARTS, programme.times[room.zone, stage - 1], "right"))
+        phase = _phase(programme.times[room.zone, stage - 1])
         for _ in range(int(rng.poisson(room.area.area * density[phase]))):
             thing = draw_thing(phase, rng)
-            stays = stage < programme.stages and rng.random() < STAYS
-            stages = stages_from(stage, stage + 1 if stays else stage)
-            if stays and (stage in floor.raised) != (stage + 1 in floor.raised):
-                stages = stages_from(stage, stage)
+            stages = _stay(stage, floor, programme, rng)
             spot = _place(thing, floor, floor.taken(stages), rng)
             if spot is None:
                 continue
@@ -155,6 +156,73 @@ def _cluttered(
             name = f"{thing.kind.replace('_', ' ')} {len(floor.standing)}, {room.name}"
             elements.append(Element(thing.kind, stages, mesh, thing.material, name))
     return elements
+
+
+def _temporary(
+    floor: _Floor, programme: Programme, amount: float, rng: np.random.Generator
+) -> list[Element]:
+    """Small and hanging things of each stage; those of a kind and of the same stages as one."""
+    room, found = floor.room, dict[tuple[Temporary, frozenset[int]], list[Mesh]]()
+    narrow = room.kind is RoomKind.CORRIDOR
+    for stage in range(1, programme.stages + 1):
+        time = programme.times[room.zone, stage - 1]
+        top = floor.plan.height if time < CEILING_GRIDS else floor.plan.ceiling_height
+        for thing in TEMPORARIES:
+            density = amount * thing.density * thing.shares[_phase(time)]
+            for _ in range(int(rng.poisson(room.area.area * density))):
+                shape, stages = thing.make(rng, top), _stay(stage, floor, programme, rng)
+                mesh = (
+                    None if narrow and thing.wide else _scattered(thing, shape, stages, floor, rng)
+                )
+                if mesh is not None:
+                    found.setdefault((thing, stages), []).append(mesh)
+    return [
+        Element(thing.kind, stages, merge(meshes), thing.material, f"{thing.kind}, {room.name}")
+        for (thing, stages), meshes in found.items()
+    ]
+
+
+def _scattered(
+    thing: Temporary,
+    shape: Mesh,
+    stages: frozenset[int],
+    floor: _Floor,
+    rng: np.random.Generator,
+) -> Mesh | None:
+    """The thing somewhere in the room, map frame; None if it does not fit where it was drawn.
+
+    It is not tried elsewhere, so that what is full already does not get fuller until nobody can
+    put up a tripod.
+    """
+    area = floor.room.area
+    yaw = rng.uniform(-np.pi, np.pi)
+    x, y = rng.uniform(area.x0, area.x1), rng.uniform(area.y0, area.y1)
+    extent = _extent(np.abs(shape.vertices[:, :2]).max(axis=0), yaw)
+    disc = _Disc(x, y, _radius(shape))
+    if thing.hangs:
+        if not _inside(disc, extent, floor):
+            return None
+    elif not _fits(disc, extent, floor) or any(_touch(disc, o) for o in floor.taken(stages)):
+        return None
+    else:
+        floor.standing.append(_Standing(disc, stages))
+        shape = _on_floor(shape, floor, stages)
+    return moved(shape, floor.plan.grid.frame(x, y) @ from_yaw(yaw, (0.0, 0.0, 0.0)))
+
+
+def _phase(time: float) -> int:
+    """Of `things.PHASES`, by the steps of work done."""
+    return int(np.searchsorted(_PHASE_STARTS, time, "right"))
+
+
+def _stay(
+    stage: int, floor: _Floor, programme: Programme, rng: np.random.Generator
+) -> frozenset[int]:
+    """The stages of a thing that is put down at one: most are gone at the next."""
+    stays = stage < programme.stages and rng.random() < STAYS
+    if stays and (stage in floor.raised) == (stage + 1 in floor.raised):
+        return stages_from(stage, stage + 1)
+    return stages_from(stage, stage)
 
 
 def _place(
@@ -201,16 +269,21 @@ def _extent(half: NDArray[np.float64], yaw: float) -> NDArray[np.float64]:
 
 def _fits(disc: _Disc, extent: NDArray[np.float64], floor: _Floor) -> bool:
     """Inside the room, clear of its walls, of doors and of columns."""
-    place = np.array([disc.x, disc.y])
-    area = floor.room.area
-    low, high = place - extent - _WALL_MARGIN, place + extent + _WALL_MARGIN
-    if low[0] < area.x0 or low[1] < area.y0 or high[0] > area.x1 or high[1] > area.y1:
+    if not _inside(disc, extent, floor):
         return False
+    place = np.array([disc.x, disc.y])
     reach = extent + COLUMN_WIDTH / 2 + 0.05
     if (np.abs(floor.columns - place) < reach).all(axis=1).any():
         return False
     beyond = np.maximum(np.abs(floor.doors - place) - extent, 0.0)
     return not (np.linalg.norm(beyond, axis=1) < _DOOR_CLEARANCE).any()
+
+
+def _inside(disc: _Disc, extent: NDArray[np.float64], floor: _Floor) -> bool:
+    """Clear of the walls of the room."""
+    place, area = np.array([disc.x, disc.y]), floor.room.area
+    low, high = place - extent - _WALL_MARGIN, place + extent + _WALL_MARGIN
+    return not (low[0] < area.x0 or low[1] < area.y0 or high[0] > area.x1 or high[1] > area.y1)
 
 
 def _radius(mesh: Mesh) -> float:

@@ -5,10 +5,12 @@ import pytest
 import yaml
 
 import nss_ros.simulation
-from nss_ros.config import SiteConfig
+from nss_ros.config import SiteConfig, ViewpointConfig
 from nss_ros.errors import InputError
 from nss_ros.simulation.element import Material
+from nss_ros.simulation.occupancy import door_triangles, occupancy_map
 from nss_ros.simulation.procedural.floor import build_floor
+from nss_ros.simulation.procedural.temporary import TEMPORARIES
 from nss_ros.simulation.scene import Scene
 from nss_ros.simulation.site import changed_since
 
@@ -16,6 +18,7 @@ OVERHEAD = {
     *("ceiling_slab", "beam", "duct", "pipe", "sprinkler", "cable_tray"),
     *("ceiling_grid", "ceiling_tiles"),
 }
+TEMPORARY = {thing.kind for thing in TEMPORARIES}
 SHELL = {"floor_slab", "ceiling_slab", "column", "core_wall", "stairs"}
 SITES = sorted((Path(nss_ros.simulation.__file__).parent / "sites").glob("*.yaml"))
 CONFIGS = {
@@ -224,6 +227,45 @@ def test_clutter_can_be_left_out():
     built = {"column", "stud", "board", "duct"}
     kept = [[e.name for e in s.elements if e.kind in built] for s in (without, usual)]
     assert kept[0] == kept[1]
+
+
+def test_temporary_things_come_and_go_and_nothing_else_changes():
+    config = SiteConfig(stages=4)
+    without = build_floor("1", config, 3)
+    site = build_floor("1", config.model_copy(update={"temporary": 2.0}), 3)
+    things = [e for e in site.elements if e.kind in TEMPORARY]
+    assert {e.kind for e in things} == TEMPORARY
+    once = [e for e in things if len(e.stages) == 1]
+    assert sum(len(e.mesh.triangles) for e in once) > 0.7 * sum(
+        len(e.mesh.triangles) for e in things
+    )
+    rest = [e for e in site.elements if e.kind not in TEMPORARY]
+    assert [e.name for e in rest] == [e.name for e in without.elements]
+    for one, other in zip(rest, without.elements, strict=True):
+        assert np.array_equal(one.mesh.vertices, other.mesh.vertices)
+
+
+def test_temporary_things_leave_room_to_walk():
+    """What hangs ends above the heads, and what lies about one can step over."""
+    site = build_floor("1", SiteConfig(stages=4, temporary=2.0), 3)
+    heights = {each.kind: [] for each in TEMPORARIES}
+    for element in site.elements:
+        if element.kind in heights:
+            heights[element.kind] += element.mesh.vertices[:, 2].tolist()
+    for thing in TEMPORARIES:
+        assert min(heights[thing.kind]) > (1.95 if thing.hangs else -0.01)
+        if not thing.hangs and not thing.wide:
+            assert max(heights[thing.kind]) < 0.8
+
+
+def test_temporary_things_hardly_cut_off_any_floor():
+    site = build_floor("1", SiteConfig(stages=2, temporary=2.0), 1)
+    stage, config = site.stage_mesh(1), ViewpointConfig()
+    scene, doors = Scene(stage.mesh), door_triangles(site, stage)
+    mapped = occupancy_map(scene, doors, site.extent, site.floor_height, config)
+    free = sum(np.count_nonzero(region) for region in mapped.regions(config.passage))
+    reached = sum(np.count_nonzero(region) for region in mapped.reachable(config.passage, 1.0))
+    assert reached > 0.85 * free
 
 
 @pytest.mark.parametrize("renovation", [False, True])
