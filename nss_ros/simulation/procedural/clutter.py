@@ -147,7 +147,7 @@ def _cluttered(
         phase = _phase(programme.times[room.zone, stage - 1])
         for _ in range(int(rng.poisson(room.area.area * density[phase]))):
             thing = draw_thing(phase, rng)
-            stages = _stay(stage, floor, programme, rng)
+            stages = _draw_stages(stage, floor, programme, rng)
             spot = _place(thing, floor, floor.taken(stages), rng)
             if spot is None:
                 continue
@@ -163,21 +163,18 @@ def _temporary(
 ) -> list[Element]:
     """Small and hanging things of each stage; those of a kind and of the same stages as one."""
     room, found = floor.room, dict[tuple[Temporary, frozenset[int]], list[Mesh]]()
-    narrow = room.kind is RoomKind.CORRIDOR
     for stage in range(1, programme.stages + 1):
         time = programme.times[room.zone, stage - 1]
         top = floor.plan.height if time < CEILING_GRIDS else floor.plan.ceiling_height
         for thing in TEMPORARIES:
             density = amount * thing.density * thing.shares[_phase(time)]
             for _ in range(int(rng.poisson(room.area.area * density))):
-                shape, stages = thing.make(rng, top), _stay(stage, floor, programme, rng)
-                mesh = (
-                    None if narrow and thing.wide else _scattered(thing, shape, stages, floor, rng)
-                )
+                shape, stages = thing.make(rng, top), _draw_stages(stage, floor, programme, rng)
+                mesh = _scattered(thing, shape, stages, floor, rng)
                 if mesh is not None:
                     found.setdefault((thing, stages), []).append(mesh)
     return [
-        Element(thing.kind, stages, merge(meshes), thing.material, f"{thing.kind}, {room.name}")
+        Element(thing.kind, stages, merge(meshes), name=f"{thing.kind}, {room.name}")
         for (thing, stages), meshes in found.items()
     ]
 
@@ -194,6 +191,8 @@ def _scattered(
     It is not tried elsewhere, so that what is full already does not get fuller until nobody can
     put up a tripod.
     """
+    if thing.wide and floor.room.kind is RoomKind.CORRIDOR:
+        return None
     area = floor.room.area
     yaw = rng.uniform(-np.pi, np.pi)
     x, y = rng.uniform(area.x0, area.x1), rng.uniform(area.y0, area.y1)
@@ -215,7 +214,7 @@ def _phase(time: float) -> int:
     return int(np.searchsorted(_PHASE_STARTS, time, "right"))
 
 
-def _stay(
+def _draw_stages(
     stage: int, floor: _Floor, programme: Programme, rng: np.random.Generator
 ) -> frozenset[int]:
     """The stages of a thing that is put down at one: most are gone at the next."""
@@ -280,7 +279,7 @@ def _fits(disc: _Disc, extent: NDArray[np.float64], floor: _Floor) -> bool:
 
 
 def _inside(disc: _Disc, extent: NDArray[np.float64], floor: _Floor) -> bool:
-    """Clear of the walls of the room."""
+    """In the room, clear of its walls."""
     place, area = np.array([disc.x, disc.y]), floor.room.area
     low, high = place - extent - _WALL_MARGIN, place + extent + _WALL_MARGIN
     return not (low[0] < area.x0 or low[1] < area.y0 or high[0] > area.x1 or high[1] > area.y1)

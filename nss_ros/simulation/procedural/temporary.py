@@ -13,10 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from nss_ros.geometry import from_yaw
-from nss_ros.simulation.element import Material
+from nss_ros.geometry import exponential, from_yaw
 from nss_ros.simulation.mesh import (
     Mesh,
     cylinder,
@@ -42,7 +40,6 @@ class Temporary:
         shares: of that in each of `things.PHASES`.
         hangs: above the heads, where nothing is in its way.
         wide: it leaves no way in a corridor.
-        material: of its surface.
     """
 
     make: Callable[[np.random.Generator, float], Mesh]
@@ -51,7 +48,6 @@ class Temporary:
     shares: tuple[float, ...]
     hangs: bool = False
     wide: bool = False
-    material: Material = Material.MATT
 
 
 def offcuts(rng: np.random.Generator, _top: float) -> Mesh:
@@ -143,24 +139,24 @@ def dust_sheet(rng: np.random.Generator, top: float) -> Mesh:
 
 def _thrown(mesh: Mesh, tilt: float, rng: np.random.Generator) -> Mesh:
     """A thing that does not stand straight, but on an edge: turned about all axes, radians."""
-    turn = Rotation.from_rotvec(rng.normal(0.0, tilt, 3)).as_matrix()
-    vertices = mesh.vertices @ turn.T
-    return Mesh(vertices - (0.0, 0.0, vertices[:, 2].min()), mesh.triangles)
+    turned = moved(mesh, exponential((0.0, 0.0, 0.0, *rng.normal(0.0, tilt, 3))))
+    return moved(turned, from_yaw(0.0, (0.0, 0.0, -turned.vertices[:, 2].min())))
 
 
-_LOOSE = (0.05, 1.0, 0.7, 1.0, 1.0, 0.5)
-_HUNG = (0.0, 1.0, 0.6, 1.0, 1.0, 0.4)
+# Shares in use, at strip-out, shell, framing, closing, finishing.
+_LYING = (0.05, 1.0, 0.7, 1.0, 1.0, 0.5)
+_PUT_UP = (0.0, 1.0, 0.6, 1.0, 1.0, 0.4)
 
 # Those that need most room come first.
 TEMPORARIES = (
-    Temporary(dust_sheet, "dust_sheet", 0.06, _HUNG, wide=True),
-    Temporary(floor_lamp, "floor_lamp", 0.05, _HUNG, wide=True),
-    Temporary(offcuts, "offcuts", 0.25, _LOOSE),
-    Temporary(sack, "sack", 0.2, _LOOSE),
-    Temporary(crate, "crate", 0.2, _LOOSE),
-    Temporary(tub, "tub", 0.15, _LOOSE),
-    Temporary(roll, "roll", 0.15, _LOOSE),
-    Temporary(lamp, "lamp", 0.1, _HUNG, hangs=True),
-    Temporary(hose, "hose", 0.15, _HUNG, hangs=True),
-    Temporary(cables, "cables", 0.1, _HUNG, hangs=True),
+    Temporary(dust_sheet, "dust_sheet", 0.06, _PUT_UP, wide=True),
+    Temporary(floor_lamp, "floor_lamp", 0.05, _PUT_UP, wide=True),
+    Temporary(offcuts, "offcuts", 0.25, _LYING),
+    Temporary(sack, "sack", 0.2, _LYING),
+    Temporary(crate, "crate", 0.2, _LYING),
+    Temporary(tub, "tub", 0.15, _LYING),
+    Temporary(roll, "roll", 0.15, _LYING),
+    Temporary(lamp, "lamp", 0.1, _PUT_UP, hangs=True),
+    Temporary(hose, "hose", 0.15, _PUT_UP, hangs=True),
+    Temporary(cables, "cables", 0.1, _PUT_UP, hangs=True),
 )
