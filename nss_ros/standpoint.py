@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from nss_ros.carrier import without_carrier
 from nss_ros.fragment import Fragment, clean_points, voxelize
 from nss_ros.geometry import Matrix, Transform, Vector, adjoint, spherical
 
@@ -62,15 +63,16 @@ class _Floor(NamedTuple):
 def at_standpoint(fragment: Fragment, search: bool = True) -> tuple[Fragment, Vector]:
     """A fragment as seen from where its scanner stood, and that place (3,) in its own frame.
 
-    Of a fragment that is not levelled, or without `search`, the place is taken for the origin.
+    A levelled one comes without what carries the scanner. Of a fragment that is not levelled, or
+    without `search`, the place is taken for the origin.
     """
-    if not (search and fragment.gravity_aligned):
+    if not fragment.gravity_aligned:
         return fragment, np.zeros(3)
-    place = standpoint(fragment.points)
-    if not place.any():
-        return fragment, place
-    points = (fragment.points.astype(np.float64) - place).astype(np.float32)
-    return Fragment(fragment.id, points, fragment.gravity_aligned), place
+    place = standpoint(fragment.points) if search else np.zeros(3)
+    points = fragment.points
+    if place.any():
+        points = (points.astype(np.float64) - place).astype(np.float32)
+    return Fragment(fragment.id, without_carrier(points), fragment.gravity_aligned), place
 
 
 class Standpoints(NamedTuple):
