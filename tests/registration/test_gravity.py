@@ -1,22 +1,27 @@
 """The method gravity with the weights that come with it."""
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from nss_ros.bag import read_log
 from nss_ros.config import RegistrationConfig
 from nss_ros.errors import MethodError
-from nss_ros.fragment import Fragment, FragmentId
+from nss_ros.fragment import Fragment, FragmentId, voxelize
 from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle, transform_points
 from nss_ros.registration.gravity.method import Gravity, hypothesis_spread
 from nss_ros.registration.gravity.refinement import SIGNS
+from nss_ros.registration.gravity.scan import scan_of
 from nss_ros.registration.gravity.weights import load_weights
 from nss_ros.registration.method import load_method
 from nss_ros.registration.relative_transform import Reason
 
 CONFIG = RegistrationConfig(method="gravity")
 OTHER = FragmentId("1", 1, 1)
+BAG = Path(__file__).parents[2] / "bags" / "three_stages"
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +138,42 @@ def test_points_that_are_not_numbers_do_no_harm(method, scans):
     points = scans[0].points.copy()
     points[::7] = np.nan
     assert register(method, Fragment(scans[0].id, points, True), scans[1]).ok
+
+
+def test_points_in_empty_air_are_left_out(scans):
+    rng = np.random.default_rng(2)
+    seen = scans[0].points
+    some = seen[rng.permutation(len(seen))[: len(seen) // 60]]
+    empty = (some * rng.uniform(0.3, 0.9, (len(some), 1))).astype(np.float32)
+    alone = cKDTree(voxelize(seen, 0.075)).query(empty)[0] > 0.3
+    with_them = Fragment(scans[0].id, np.concatenate((seen, empty)), True)
+    plain, kept = (scan_of(each, CONFIG).points for each in (scans[0], with_them))
+    assert len(plain) > 0.99 * len(voxelize(seen, 0.075))
+    left = cKDTree(kept).query(empty[alone])[0] < 0.05
+    assert alone.sum() > 40
+    assert left.mean() < 0.2
+
+
+def test_within_a_stage_an_unsure_answer_is_searched_for_with_tolerance(method, monkeypatch):
+    """Pairs of the bundled bag that only the features for different stages find."""
+    fragments = read_log(BAG).fragments
+    graph = read_log(BAG).ground_truth[0]
+    poses = {node.id: node.T_map_fragment for node in graph.nodes}
+    places = {
+        id_: method.prepare(fragments[id_]) for id_ in (FragmentId("1", 2, n) for n in (3, 6, 9))
+    }
+    source = FragmentId("1", 2, 3)
+    errors = []
+    for sure in (0.0, 0.8):
+        monkeypatch.setattr("nss_ros.registration.gravity.method._SURE", sure)
+        for target in (FragmentId("1", 2, 6), FragmentId("1", 2, 9)):
+            answer = method.register(places[source], places[target], 0)
+            truth = relative(poses[source], poses[target])
+            difference = relative(answer.T_target_source, truth)
+            errors.append(np.linalg.norm(difference[:3, 3]))
+    before, after = np.array(errors).reshape(2, 2)
+    assert (after < 0.5 * before).all()
+    assert after.max() < 0.2
 
 
 def test_fragments_that_are_not_levelled_use_six_degrees_of_freedom(method, scans):

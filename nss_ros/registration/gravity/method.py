@@ -23,6 +23,7 @@ from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import (
     Matrix,
     Transform,
+    from_yaw,
     inverse,
     logarithm,
     relative,
@@ -35,9 +36,9 @@ from nss_ros.registration.gravity.correlation import planar, score_parts, turned
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
 from nss_ros.registration.gravity.raster import Raster
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
-from nss_ros.registration.gravity.scan import LevelScan, fitting_scan_of
+from nss_ros.registration.gravity.scan import LevelScan, is_wide_scan, scan_of, wide_scan_of
 from nss_ros.registration.gravity.search import Search, search
-from nss_ros.registration.gravity.verifier import judge
+from nss_ros.registration.gravity.verifier import Judgement, judge
 from nss_ros.registration.gravity.weights import Networks, load_weights
 from nss_ros.registration.gravity.wide import (
     empty_weight,
@@ -60,6 +61,8 @@ _LEAST_PROBABILITY = 0.01
 _SPREAD_TRANSLATION, _SPREAD_ROTATION = 1.0, np.radians(6)
 # Poses this much less likely than the best one, by the logarithm, are hardly ever right.
 _MOST_MARGIN = 7.0
+# Within a stage, a best hypothesis that is less probable is not taken before a tolerant search.
+_SURE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +76,7 @@ class GravityFeatures:
         maps: (2, CHANNELS, h, w) float32, as a source: for a pair of different stages, and for
             one of one stage; None when `shape` is.
         generic: features for `fpfh_ransac` when it is not levelled, else None.
+        near: of a fragment with wide maps, the same with maps of the usual size; else None.
     """
 
     id: FragmentId
@@ -80,6 +84,7 @@ class GravityFeatures:
     shape: Shape | None
     maps: NDArray[np.float32] | None
     generic: FpfhFeatures | None
+    near: GravityFeatures | None = None
 
 
 class _Turned(NamedTuple):
@@ -112,7 +117,10 @@ class Gravity:
         if not fragment.gravity_aligned:
             generic = self._generic.prepare(fragment)
             return GravityFeatures(fragment.id, len(generic.points), None, None, generic)
-        return self.prepare_scan(fitting_scan_of(fragment, self.config))
+        if not is_wide_scan(fragment):
+            return self.prepare_scan(scan_of(fragment, self.config))
+        near = self.prepare_scan(scan_of(fragment, self.config))
+        return replace(self.prepare_scan(wide_scan_of(fragment, self.config)), near=near)
 
     def prepare_scan(self, scan: LevelScan) -> GravityFeatures:
         """Features of a levelled fragment."""
@@ -149,9 +157,15 @@ class Gravity:
 
     def candidates(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Candidate, ...]:
         """Aligned hypotheses of two levelled fragments, in the order of the search."""
+        found = self.search(source, target, self.config.gravity.hypotheses)
+        return self._candidates(source, target, found, self._alignments(source, target, found))
+
+    def _alignments(
+        self, source: GravityFeatures, target: GravityFeatures, found: Search
+    ) -> list[Alignment]:
+        """The promising poses of a search, aligned; those that end in one place are one."""
         assert source.shape is not None
         assert target.shape is not None
-        found = self.search(source, target, self.config.gravity.hypotheses)
         alignments: list[Alignment] = []
         for peak in found.peaks:
             if peak.score < found.peaks[0].score - _MOST_MARGIN:
@@ -159,6 +173,18 @@ class Gravity:
             alignment = aligned(source.shape, target.shape, peak, self.config)
             if not _is_known(alignment.refined.T_target_source, alignments):
                 alignments.append(alignment)
+        return alignments
+
+    def _candidates(
+        self,
+        source: GravityFeatures,
+        target: GravityFeatures,
+        found: Search,
+        alignments: Sequence[Alignment],
+    ) -> tuple[Candidate, ...]:
+        """Alignments with their signs."""
+        assert source.shape is not None
+        assert target.shape is not None
         maps = self._maps(source, target)
         poses = planar(np.stack([each.refined.T_target_source for each in alignments]))
         parts = score_parts(*maps, *poses).tolist()
@@ -169,6 +195,29 @@ class Gravity:
             judged(*shapes, alignment, each, look, found, self.config, weight)
             for alignment, each, look in zip(alignments, parts, looks, strict=True)
         )
+
+    def _tolerant_alignments(
+        self, source: GravityFeatures, target: GravityFeatures, found: Search
+    ) -> list[Alignment]:
+        """Aligned poses that the features for different stages find in fragments of one stage.
+
+        Within a stage they are not looked at first, since there hardly anything contradicts a right
+        pose. What does, say a mirror, a person or a load on the scanner's carrier, they forgive.
+        """
+        moving, still = self._features(source, target, 0)
+        with torch.inference_mode():
+            spectra = turned_spectra(moving)
+        peaks = search(spectra, still, self.config.gravity.hypotheses).peaks
+        alignments = self._alignments(source, target, replace(found, peaks=peaks))
+        poses = np.stack(
+            [from_yaw(each.peak.yaw, (each.peak.x, each.peak.y, 0.0)) for each in alignments]
+        )
+        scores = score_parts(*self._maps(source, target), *planar(poses)).sum(dim=1).tolist()
+        best = found.peaks[0]
+        return [
+            replace(each, peak=replace(each.peak, score=score, mass=best.mass + score - best.score))
+            for each, score in zip(alignments, scores, strict=True)
+        ]
 
     def _second_looks(
         self, source: Tensor, target: Tensor, yaws: Tensor, shifts: Tensor
@@ -212,21 +261,47 @@ class Gravity:
 
     def _maps(self, source: GravityFeatures, target: GravityFeatures) -> tuple[Tensor, Tensor]:
         """Features of the one as a source and of the other as a target."""
-        assert source.maps is not None
-        assert target.maps is not None
-        kind = int(_same_stage(source, target))
-        moving, still = torch.from_numpy(source.maps[kind]), torch.from_numpy(target.maps[kind])
+        moving, still = self._features(source, target, int(_same_stage(source, target)))
         if is_wide(moving, still):
             moving = evened(moving, still)
+        return moving, still
+
+    def _features(
+        self, source: GravityFeatures, target: GravityFeatures, kind: int
+    ) -> tuple[Tensor, Tensor]:
+        """The same for a kind of pair, not evened."""
+        assert source.maps is not None
+        assert target.maps is not None
+        moving, still = torch.from_numpy(source.maps[kind]), torch.from_numpy(target.maps[kind])
         return moving, as_target(still)
 
     def _answer(
         self, pair: FragmentPair, source: GravityFeatures, target: GravityFeatures
     ) -> RelativeTransform:
-        candidates = self.candidates(source, target)
-        judgement = judge(
-            self._networks.verifier, [each.signs for each in candidates], pair.same_stage
-        )
+        """The answer by wide maps, if any is wide; by the usual ones, too, where it is not sure.
+
+        Wide maps have coarser poses looked at first, and no second look.
+        """
+        answer = self._best_answer(pair, source, target)
+        if answer.confidence >= _SURE or source.near is target.near is None:
+            return answer
+        near = self._best_answer(pair, source.near or source, target.near or target)
+        return _surer(answer, near)
+
+    def _best_answer(
+        self, pair: FragmentPair, source: GravityFeatures, target: GravityFeatures
+    ) -> RelativeTransform:
+        found = self.search(source, target, self.config.gravity.hypotheses)
+        alignments = self._alignments(source, target, found)
+        candidates = self._candidates(source, target, found, alignments)
+        judgement = self._judged(pair, candidates)
+        usual = not is_wide(*self._maps(source, target))
+        if pair.same_stage and usual and judgement.probabilities.max() < _SURE:
+            for each in self._tolerant_alignments(source, target, found):
+                if not _is_known(each.refined.T_target_source, alignments):
+                    alignments.append(each)
+            candidates = self._candidates(source, target, found, alignments)
+            judgement = self._judged(pair, candidates)
         order = np.argsort(-judgement.probabilities, kind="stable")
         best = candidates[order[0]]
         hypotheses = tuple(
@@ -252,6 +327,10 @@ class Gravity:
             rmse=best.support.rmse,
             alternatives=hypotheses,
         )
+
+    def _judged(self, pair: FragmentPair, candidates: Sequence[Candidate]) -> Judgement:
+        signs = [each.signs for each in candidates]
+        return judge(self._networks.verifier, signs, pair.same_stage)
 
 
 def feature_maps(network: GravityNetwork, raster: Raster) -> NDArray[np.float32]:
@@ -292,16 +371,40 @@ def hypothesis_spread(
     return np.asarray(np.einsum("k,ki,kj->ij", weights, stack, stack))
 
 
+def _surer(one: RelativeTransform, other: RelativeTransform) -> RelativeTransform:
+    """The answer of the higher confidence; what the other one says has the probability it leaves.
+
+    Args:
+        one: answer to a pair.
+        other: answer to the same pair.
+    """
+    better, worse = (one, other) if one.confidence >= other.confidence else (other, one)
+    hypotheses = [_first_hypothesis(better), *better.alternatives]
+    left = max(1.0 - sum(each.probability for each in hypotheses), 0.0)
+    for each in (_first_hypothesis(worse), *worse.alternatives):
+        probability = left * each.probability
+        known = any(_is_same(each.T_target_source, h.T_target_source) for h in hypotheses)
+        if probability > _LEAST_PROBABILITY and not known:
+            hypotheses.append(replace(each, probability=probability))
+    alternatives = sorted(hypotheses[1:], key=lambda each: -each.probability)
+    return replace(better, alternatives=tuple(alternatives))
+
+
+def _first_hypothesis(answer: RelativeTransform) -> Hypothesis:
+    return Hypothesis(answer.T_target_source, answer.confidence, answer.covariance)
+
+
 def _same_stage(source: GravityFeatures, target: GravityFeatures) -> bool:
     return FragmentPair(source.id, target.id).same_stage
 
 
 def _is_known(transform: Transform, alignments: Sequence[Alignment]) -> bool:
-    for each in alignments:
-        difference = relative(transform, each.refined.T_target_source)
-        if (
-            np.linalg.norm(difference[:3, 3]) < _SAME_TRANSLATION
-            and rotation_angle(difference) < _SAME_ROTATION
-        ):
-            return True
-    return False
+    return any(_is_same(transform, each.refined.T_target_source) for each in alignments)
+
+
+def _is_same(one: Transform, other: Transform) -> bool:
+    difference = relative(one, other)
+    return bool(
+        np.linalg.norm(difference[:3, 3]) < _SAME_TRANSLATION
+        and rotation_angle(difference) < _SAME_ROTATION
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, Points, clean_points, voxelize
@@ -22,6 +23,10 @@ _FARTHEST_WIDE = 24.0
 # The floor of a wide scan is that on which the tripod stands, not the ground outside or a storey
 # below, metres from it.
 _FLOOR_RADIUS = 4.8
+
+# A point has so many others beside it, no farther than the first times what is usual, or than the
+# second times its range: far from a scanner points are sparse.
+_BESIDE, _LONELY, _LONELY_FAR = 3, 2.5, 0.04
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +52,7 @@ def scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
     """Points, normals, floor and maps of the usual size of a levelled fragment."""
     points = clean_points(fragment.points)
     near = (points**2).sum(axis=1) < _FARTHEST**2
-    points = voxelize(points[near], _VOXEL_SIZE)
+    points = without_floating(voxelize(points[near], _VOXEL_SIZE))
     normals = surface_normals(points, config.fpfh.normal_radius)
     floor = find_floor(points, normals)
     return LevelScan(fragment.id, points, normals, floor, rasterize(points, normals, floor.height))
@@ -57,7 +62,7 @@ def wide_scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan:
     """The same of a fragment that reaches far, with wide maps."""
     points = clean_points(fragment.points)
     near = (points**2).sum(axis=1) < _FARTHEST_WIDE**2
-    points = voxelize(points[near], _VOXEL_SIZE)
+    points = without_floating(voxelize(points[near], _VOXEL_SIZE))
     normals = surface_normals(points, config.fpfh.normal_radius)
     beside = np.hypot(points[:, 0], points[:, 1]) < _FLOOR_RADIUS
     floor = find_floor(points[beside], normals[beside])
@@ -73,6 +78,19 @@ def fitting_scan_of(fragment: Fragment, config: RegistrationConfig) -> LevelScan
 def is_wide_scan(fragment: Fragment) -> bool:
     """Whether wide maps tell more of a fragment than those of the usual size."""
     return _reach(fragment) > _WIDE_REACH
+
+
+def without_floating(points: Points) -> Points:
+    """The points (n, 3) that have others beside them.
+
+    Where a beam meets an edge, or a mirror, scanners see points in empty air.
+    """
+    if len(points) <= _BESIDE:
+        return points
+    distance = cKDTree(points).query(points, [_BESIDE + 1])[0][:, 0]
+    usual = _LONELY * float(np.median(distance))
+    reach = np.maximum(usual, _LONELY_FAR * np.linalg.norm(points, axis=1))
+    return np.asarray(points[distance < reach])
 
 
 def _reach(fragment: Fragment) -> float:
