@@ -150,7 +150,7 @@ def _write_content(
         raise BagError(f"Pair {waiting[0]} names a fragment that is not among the fragments.")
 
 
-def read_log(path: Path, points: bool = True) -> Log:
+def read_log(path: Path | str, points: bool = True) -> Log:
     """Read a bag or log whole.
 
     Args:
@@ -160,6 +160,7 @@ def read_log(path: Path, points: bool = True) -> Log:
     Raises:
         BagError: there is no bag, or it holds nothing of nss_ros, or a message is not valid.
     """
+    path = Path(path)
     reader = BagReader(path)
     wanted = _TYPES if points else _TYPES - {topics.FRAGMENTS.type}
     content = _Content()

@@ -24,7 +24,7 @@ from nss_ros.dataset.challenge_folder import (
     read_fragment,
 )
 from nss_ros.dataset.folder import GRAPH_FOLDER, DatasetFolder
-from nss_ros.dataset.levelness import files_look_levelled
+from nss_ros.dataset.levelness import files_look_levelled, other_vertical_axis
 from nss_ros.dataset.manifest import MANIFEST_NAME, read_manifest
 from nss_ros.dataset.release import Release, is_release, read_release
 from nss_ros.dataset.release_import import as_challenge, as_dataset
@@ -39,6 +39,10 @@ _LOOKED = {
     False: "They do not look like scans of a levelled tripod, so any rotation is searched, which "
     "finds less; --gravity-aligned says that they are.",
 }
+_OTHER_VERTICAL = (
+    "They look like scans of a levelled tripod in frames in which {} is vertical, so any rotation "
+    "is searched, which finds less: turn them so that z points up, and import them again."
+)
 
 
 class Kind(StrEnum):
@@ -169,7 +173,11 @@ def import_folder(
     if fragments.dropped:
         console.print(f"Left out {fragments.dropped} points with non-finite coordinates.")
     if looked:
-        console.print(_LOOKED[gravity_aligned], soft_wrap=True)
+        files = list(challenge.point_files.items())
+        axis = None if gravity_aligned else other_vertical_axis(files)
+        console.print(
+            _OTHER_VERTICAL.format(axis) if axis else _LOOKED[gravity_aligned], soft_wrap=True
+        )
     console.print(f"Bag: {output}", soft_wrap=True, highlight=False)
 
 

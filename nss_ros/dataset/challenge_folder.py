@@ -28,6 +28,9 @@ METADATA_KEY = "challenge"
 
 # Distance of a cloud from its origin, metres, from which single precision loses half a centimetre.
 _FARTHEST = 50_000.0
+# A scan of which half lies farther than this from its middle is not in metres; in centimetres it
+# is not likely to be so wide as the second.
+_WIDEST, _WIDEST_CENTIMETRES = 100.0, 1_000.0
 
 _GRAPH_FOLDERS = ("pose_graph", "pose_graphs")
 _POINT_FOLDERS = ("point_cloud", "point_clouds", "pointcloud", "pointclouds", ".")
@@ -110,7 +113,8 @@ def read_fragment(
     """The fragment of a PLY file, and how many non-finite points it was cleaned of.
 
     Raises:
-        FormatError: the file is not valid, holds no finite point, or lies too far from its origin.
+        FormatError: the file is not valid, holds no finite point, lies too far from its origin, or
+            is not in metres.
     """
     with np.errstate(over="ignore"):
         vertices = read_ply(path)
@@ -125,6 +129,15 @@ def read_fragment(
             f"{path} lies {away / 1000:.0f} km from the origin of its frame, where single "
             f"precision keeps {np.spacing(np.float32(away)) * 100:.1f} cm only: subtract an offset "
             "from its coordinates, for example that of the site."
+        )
+    reach = float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+    if reach > _WIDEST:
+        unit, factor = (
+            ("millimetres", 0.001) if reach > _WIDEST_CENTIMETRES else ("centimetres", 0.01)
+        )
+        raise FormatError(
+            f"Half of {path} lies more than {reach:.0f} m from its middle: coordinates are taken "
+            f"for metres, and these look like {unit}. Scale them by {factor}."
         )
     return Fragment(fragment_id, points, gravity_aligned), len(vertices) - len(points)
 

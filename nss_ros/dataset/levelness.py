@@ -21,6 +21,9 @@ _LEAST_LEVEL, _LEAST_FLOOR = 0.1, 0.03
 _FLOOR_BELOW = 0.5  # the sensor stands at least this high above a floor, metres
 _MOST_TILT = np.radians(2.0)
 _LOOKED_AT, _MOST_OF_THEM = 24, 0.8
+# Axes that may be vertical instead of z, by what makes of them a frame in which z is.
+_FEW = 3
+_AXES = {"y": ((0, 2, 1), (1, -1, 1)), "x": ((2, 1, 0), (-1, 1, 1))}
 
 
 def looks_levelled(points: Points) -> bool:
@@ -57,6 +60,26 @@ def files_look_levelled(files: Sequence[tuple[FragmentId, Path]]) -> bool:
     some = files[:: max(1, -(-len(files) // _LOOKED_AT))]
     levelled = [looks_levelled(read_fragment(id_, file, True)[0].points) for id_, file in some]
     return len(levelled) > 0 and float(np.mean(levelled)) >= _MOST_OF_THEM
+
+
+def other_vertical_axis(files: Sequence[tuple[FragmentId, Path]]) -> str | None:
+    """The axis that is vertical where that is not z: "x" or "y"; else None.
+
+    Whether it points up or down, nothing tells for sure: a ceiling may be taken for a floor.
+
+    Args:
+        files: PLY files of fragments that do not look levelled along z; a few are looked at.
+
+    Raises:
+        FormatError: a file is not valid, or holds no finite point.
+    """
+    some = files[:: max(1, -(-len(files) // _FEW))]
+    clouds = [read_fragment(id_, file, True)[0].points for id_, file in some]
+    for name, (columns, signs) in _AXES.items():
+        turned = (cloud[:, columns] * np.array(signs, np.float32) for cloud in clouds)
+        if clouds and all(map(looks_levelled, turned)):
+            return name
+    return None
 
 
 def _normals(points: Points) -> NDArray[np.float64]:

@@ -82,6 +82,23 @@ def test_scans_that_are_levelled_are_told_by_their_floors(tmp_path, options, lev
     assert {fragment.gravity_aligned for fragment in back.fragments.values()} == {level}
 
 
+def test_scans_in_which_another_axis_is_vertical_are_told(tmp_path):
+    log = read_log(BAG)
+    (tmp_path / "scans" / "point_cloud").mkdir(parents=True)
+    nodes = []
+    for number, (id_, fragment) in enumerate(list(log.fragments.items())[:2]):
+        x, y, z = fragment.points.T
+        columns = {"x": x, "y": z, "z": -y}
+        write_ply(tmp_path / "scans" / "point_cloud" / f"{id_}.ply", columns)
+        nodes.append({"id": number, "name": f"{id_}.ply"})
+    graph = {"name": "Bldg1_Graph1", "nodes": nodes, "edges": []}
+    (tmp_path / "scans" / "pose_graph").mkdir()
+    (tmp_path / "scans" / "pose_graph" / "Bldg1_Graph1.json").write_text(json.dumps([graph]))
+    result = CliRunner().invoke(app, [str(tmp_path / "scans"), "-o", str(tmp_path / "bag")])
+    assert result.exit_code == 0, result.output
+    assert "in which y is vertical" in result.output
+
+
 def test_ground_truth_is_in_its_own_topic_only(shared_data, tmp_path):
     import_folder(shared_data / "redkitchen", tmp_path / "bag")
     log = read_log(tmp_path / "bag", points=False)

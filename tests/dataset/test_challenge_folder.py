@@ -130,3 +130,13 @@ def test_a_cloud_too_far_from_its_origin_is_refused(tmp_path):
     write_ply(tmp_path / "a.ply", dict(zip("xyz", (points + np.array([5e5, 0, 0])).T, strict=True)))
     with pytest.raises(FormatError, match=r"a\.ply lies 500 km .* keeps 3\.1 cm only: subtract"):
         read_fragment(SPOTS[0], tmp_path / "a.ply", gravity_aligned=True)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(100, "centimetres"), (1000, "millimetres")])
+def test_a_cloud_that_is_not_in_metres_is_refused(tmp_path, factor, unit):
+    points = np.random.default_rng(0).uniform(-4, 4, (500, 3)) * factor
+    write_ply(tmp_path / "a.ply", dict(zip("xyz", points.T, strict=True)))
+    with pytest.raises(FormatError, match=rf"a\.ply lies .* look like {unit}\. Scale"):
+        read_fragment(SPOTS[0], tmp_path / "a.ply", gravity_aligned=True)
+    write_ply(tmp_path / "a.ply", dict(zip("xyz", (points * 10 / factor).T, strict=True)))
+    assert read_fragment(SPOTS[0], tmp_path / "a.ply", gravity_aligned=True)[1] == 0

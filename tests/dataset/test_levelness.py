@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from nss_ros.bag import read_log
-from nss_ros.dataset.levelness import files_look_levelled, looks_levelled
+from nss_ros.dataset.levelness import files_look_levelled, looks_levelled, other_vertical_axis
 from nss_ros.dataset.ply import write_ply
 from nss_ros.fragment import FragmentId
 
@@ -81,3 +81,22 @@ def test_a_few_that_do_not_look_it_do_not_matter(tmp_path, scans):
         write(file, scans[0][:50])
     assert not files_look_levelled(files)
     assert not files_look_levelled([])
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_another_axis_that_is_vertical_is_named(tmp_path, scans, axis, sign):
+    up = np.roll((0.0, 0.0, 1.0), "zxy".index(axis)) * sign
+    rotation = Rotation.align_vectors([up], [(0.0, 0.0, 1.0)])[0]
+    files = [(FragmentId("1", 1, number), tmp_path / f"{number}.ply") for number in range(4)]
+    for (_, file), points in zip(files, scans[::6], strict=False):
+        write(file, turned(points, rotation))
+    assert not files_look_levelled(files)
+    assert other_vertical_axis(files) == axis
+
+
+def test_no_axis_is_named_where_none_is_vertical(tmp_path, scans):
+    file = tmp_path / "0.ply"
+    write(file, turned(scans[0], Rotation.from_euler("xy", (40, 30), degrees=True)))
+    assert other_vertical_axis([(FragmentId("1", 1, 0), file)]) is None
+    assert other_vertical_axis([]) is None
