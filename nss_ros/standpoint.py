@@ -1,10 +1,10 @@
-"""Where the scanner of a levelled fragment stood, where that is not the origin of its frame.
+"""Where the scanner of a levelled fragment stood, and how, where its frame does not tell.
 
 What a scanner saw to be empty, and what it could not see, is told from where it stood. That is the
 origin of a sensor frame; but scans are also exported with the foot of the tripod as their origin,
 or in the frame of a site. The place is found again by what it must be: a place from which nearly
 all points can be seen, since each of them was, above floor that it does not see, since no scanner
-sees the foot of its own tripod.
+sees the foot of its own tripod. A scanner that was tilted by some degrees is set upright.
 """
 
 from __future__ import annotations
@@ -17,7 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from nss_ros.carrier import without_carrier
 from nss_ros.fragment import Fragment, clean_points, voxelize
-from nss_ros.geometry import Matrix, Transform, Vector, adjoint, spherical
+from nss_ros.geometry import (
+    Matrix,
+    Transform,
+    Vector,
+    adjoint,
+    inverse,
+    spherical,
+    transform_points,
+)
+from nss_ros.upright import upright_frame
 
 _VOXEL_SIZE = 0.1
 # No scan is larger, metres.
@@ -60,46 +69,51 @@ class _Floor(NamedTuple):
     points: Array
 
 
-def at_standpoint(fragment: Fragment, search: bool = True) -> tuple[Fragment, Vector]:
-    """A fragment as seen from where its scanner stood, and that place (3,) in its own frame.
+def at_standpoint(fragment: Fragment, search: bool = True) -> tuple[Fragment, Transform]:
+    """A fragment as seen from where its scanner stood, and the pose of that in its own frame.
 
-    A levelled one comes without what carries the scanner. Of a fragment that is not levelled, or
-    without `search`, the place is taken for the origin.
+    Seen so, a levelled one is upright, and without what carries the scanner. Of a fragment that is
+    not levelled, or without `search`, its own frame is taken for it.
     """
     if not fragment.gravity_aligned:
-        return fragment, np.zeros(3)
-    place = standpoint(fragment.points) if search else np.zeros(3)
+        return fragment, np.eye(4)
+    place = np.eye(4)
+    if search:
+        place = shift(standpoint(fragment.points)) @ upright_frame(fragment.points)
     points = fragment.points
-    if place.any():
-        points = (points.astype(np.float64) - place).astype(np.float32)
+    if not is_origin(place):
+        points = transform_points(inverse(place), points).astype(np.float32)
     return Fragment(fragment.id, without_carrier(points), fragment.gravity_aligned), place
+
+
+def is_origin(standpoint: Transform) -> bool:
+    """Whether a standpoint is the frame that the fragment came in."""
+    return bool((standpoint == np.eye(4)).all())
 
 
 class Standpoints(NamedTuple):
     """Where the scanners of a pair stood, each in the frame that its fragment came in.
 
     Attributes:
-        source: (3,) metres.
-        target: (3,) metres.
+        source: (4, 4) pose of the upright frame at the scanner.
+        target: (4, 4) the same.
     """
 
-    source: Vector
-    target: Vector
+    source: Transform
+    target: Transform
 
     @property
     def are_origins(self) -> bool:
         """Whether both fragments came in the frames of their sensors."""
-        return not (self.source.any() or self.target.any())
+        return is_origin(self.source) and is_origin(self.target)
 
     def transform(self, T_target_source: Transform) -> Transform:
         """`T_target_source` of standpoints, (4, 4), for the frames that the fragments came in."""
-        result = T_target_source.copy()
-        result[:3, 3] += self.target - T_target_source[:3, :3] @ self.source
-        return result
+        return np.asarray(self.target @ T_target_source @ inverse(self.source))
 
     def covariance(self, covariance: Matrix) -> Matrix:
         """Its covariance (6, 6), order x y z rx ry rz: a turn shifts what is away from it."""
-        moved = adjoint(shift(self.target))
+        moved = adjoint(self.target)
         return np.asarray(moved @ covariance @ moved.T)
 
 

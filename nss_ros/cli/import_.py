@@ -40,8 +40,9 @@ _LOOKED = {
     "finds less; --gravity-aligned says that they are.",
 }
 _OTHER_VERTICAL = (
-    "They look like scans of a levelled tripod in frames in which {} is vertical, so any rotation "
-    "is searched, which finds less: turn them so that z points up, and import them again."
+    "They do not look like scans of a levelled tripod, but would if {} were vertical: if it is, "
+    "turn them so that z points up, and import them again. Else any rotation is searched, which "
+    "finds less; --gravity-aligned says that they are levelled."
 )
 
 

@@ -113,7 +113,7 @@ class RegistrationConfig(Section):
     min_points: int = Field(100, ge=3, description="Fewest voxelised points that a fragment needs")
     find_standpoints: bool = Field(
         True,
-        description="Look for the scanner's place where the origin of a levelled fragment cannot be it; false: all origins are sensors",
+        description="Look for the scanner's place where the origin of a levelled fragment cannot be it, and set tilted ones upright; false: frames are taken as they are",
     )
     min_inlier_ratio: Fraction = Field(
         0.05, description="Least inlier ratio of an estimate; gravity gives a confidence instead"
@@ -182,7 +182,7 @@ class MultiwayConfig(Section):
     )
     find_standpoints: bool = Field(
         True,
-        description="Submaps: look for the scanner's place where the origin of a levelled fragment cannot be it; false: all origins are sensors",
+        description="Submaps: look for the scanner's place where the origin of a levelled fragment cannot be it, and set tilted ones upright; false: frames are taken as they are",
     )
     max_distance: Positive = Field(
         0.2, description="Correspondence distance that scales the line process, metres"
@@ -195,7 +195,8 @@ class MultiwayConfig(Section):
         0.0, description="Relative transforms below this confidence are rejected at once"
     )
     max_tilt: Positive = Field(
-        3.0, description="Levelled edges tilted by more than this are rejected at once, degrees"
+        10.0,
+        description="Levelled edges tilted by more than this are rejected at once, degrees; each of two scanners may be tilted by some",
     )
     loop_translation: Positive = Field(
         0.4, description="A loop of edges closes if it misses by no more than this, metres"

@@ -6,20 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from nss_ros.dataset.challenge_folder import read_fragment
-from nss_ros.fragment import FragmentId, Points, clean_points, voxelize
+from nss_ros.fragment import FragmentId, Points
 from nss_ros.standpoint import standpoint
+from nss_ros.upright import level_surfaces
 
-_VOXEL_SIZE, _NEIGHBOURS = 0.1, 20
-# Surfaces tilted by more than this, radians, are no floors; the axis is found again among those
-# that are near it.
-_LEVEL, _NEAR = np.radians(12.0), np.radians(4.0)
-# Least share of the points that lies on level surfaces, and on a floor below the sensor.
-_LEAST_LEVEL, _LEAST_FLOOR = 0.1, 0.03
-_FLOOR_BELOW = 0.5  # the sensor stands at least this high above a floor, metres
-_MOST_TILT = np.radians(2.0)
+# Least share of the points that lies on a floor below the sensor, which stands at least this high
+# above it, metres.
+_LEAST_FLOOR, _FLOOR_BELOW = 0.03, 0.5
+# A robot's scanner may be tilted so; registration sets it upright.
+_MOST_TILT = np.radians(5.0)
 _LOOKED_AT, _MOST_OF_THEM = 24, 0.8
 # Axes that may be vertical instead of z, by what makes of them a frame in which z is.
 _FEW = 3
@@ -27,7 +24,7 @@ _AXES = {"y": ((0, 2, 1), (1, -1, 1)), "x": ((2, 1, 0), (-1, 1, 1))}
 
 
 def looks_levelled(points: Points) -> bool:
-    """Whether z points up, within about two degrees, and the scanner stood above a floor.
+    """Whether z points up, within about five degrees, and the scanner stood above a floor.
 
     A levelled scan has a floor below its sensor, and level surfaces share a direction. In a frame
     turned at random hardly any surface is that close to level.
@@ -35,20 +32,11 @@ def looks_levelled(points: Points) -> bool:
     Args:
         points: (n, 3), metres, sensor frame, or one whose origin is elsewhere.
     """
-    cloud = voxelize(clean_points(points), _VOXEL_SIZE)
-    if len(cloud) < 100:
+    surfaces = level_surfaces(points)
+    if surfaces is None or surfaces.tilt >= _MOST_TILT:
         return False
-    normals = _normals(cloud)
-    axis = np.array([0.0, 0.0, 1.0])
-    for reach in (_LEVEL, _LEVEL, _NEAR):
-        level = np.abs(normals @ axis) > np.cos(reach)
-        if level.mean() < _LEAST_LEVEL:
-            return False
-        axis = np.linalg.eigh(normals[level].T @ normals[level])[1][:, -1]
-    if np.arccos(min(abs(float(axis[2])), 1.0)) >= _MOST_TILT:
-        return False
-    floor = level & (cloud[:, 2] < standpoint(points)[2] - _FLOOR_BELOW)
-    return bool(floor.mean() > _LEAST_FLOOR)
+    floor = surfaces.points[:, 2] < standpoint(points)[2] - _FLOOR_BELOW
+    return bool(floor.mean() * surfaces.share > _LEAST_FLOOR)
 
 
 def files_look_levelled(files: Sequence[tuple[FragmentId, Path]]) -> bool:
@@ -63,12 +51,12 @@ def files_look_levelled(files: Sequence[tuple[FragmentId, Path]]) -> bool:
 
 
 def other_vertical_axis(files: Sequence[tuple[FragmentId, Path]]) -> str | None:
-    """The axis that is vertical where that is not z: "x" or "y"; else None.
+    """The axis along which fragments look levelled that do not along z: "x" or "y"; else None.
 
-    Whether it points up or down, nothing tells for sure: a ceiling may be taken for a floor.
+    It need not be vertical: the walls of a corridor may be taken for its floor and ceiling.
 
     Args:
-        files: PLY files of fragments that do not look levelled along z; a few are looked at.
+        files: PLY files of the fragments; a few are looked at.
 
     Raises:
         FormatError: a file is not valid, or holds no finite point.
@@ -80,11 +68,3 @@ def other_vertical_axis(files: Sequence[tuple[FragmentId, Path]]) -> str | None:
         if clouds and all(map(looks_levelled, turned)):
             return name
     return None
-
-
-def _normals(points: Points) -> NDArray[np.float64]:
-    import open3d as o3d  # costs seconds
-
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
-    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
-    return np.asarray(cloud.normals)

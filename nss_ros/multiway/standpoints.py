@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.geometry import Matrix, Transform, Vector, adjoint, inverse, relative, rotation_angle
+from nss_ros.geometry import Matrix, Transform, adjoint, inverse, relative, rotation_angle
 from nss_ros.multiway.pose_graph import Edge, Measurement, Node, PoseGraph
-from nss_ros.standpoint import Standpoints, shift
+from nss_ros.standpoint import Standpoints
 
-Places = Mapping[FragmentId, Vector]
-"""Standpoints (3,) of those fragments that came in another frame, metres in that."""
+Places = Mapping[FragmentId, Transform]
+"""Standpoints (4, 4) of those fragments that came in another frame, as poses in that."""
 
 
 def between_standpoints(m: Measurement, places: Places) -> Measurement:
@@ -21,7 +21,7 @@ def between_standpoints(m: Measurement, places: Places) -> Measurement:
     if m.pair.source not in places and m.pair.target not in places:
         return m
     ends = _ends(m.pair, places)
-    back = Standpoints(-ends.source, -ends.target)
+    back = Standpoints(inverse(ends.source), inverse(ends.target))
     return replace(
         m,
         T_target_source=back.transform(m.T_target_source),
@@ -45,7 +45,7 @@ def graph_of_fragments(graph: PoseGraph, places: Places) -> PoseGraph:
     for id_, node in graph.poses().items():
         anchors.setdefault(node.component, id_)
     nodes = tuple(
-        _node(node, places, shift(_place(anchors[node.component], places)))
+        _node(node, places, _place(anchors[node.component], places))
         if node.component in anchors and node.id in graph.poses()
         else node
         for node in graph.nodes
@@ -61,7 +61,7 @@ def _node(node: Node, places: Places, T_new_old: Transform) -> Node:
     turned = adjoint(T_new_old)
     return replace(
         node,
-        T_map_fragment=T_new_old @ node.T_map_fragment @ shift(-_place(node.id, places)),
+        T_map_fragment=T_new_old @ node.T_map_fragment @ inverse(_place(node.id, places)),
         covariance=turned @ node.covariance @ turned.T,
     )
 
@@ -81,9 +81,9 @@ def _edge(edge: Edge, ends: Standpoints, poses: Mapping[FragmentId, Transform]) 
     )
 
 
-def _information(information: Matrix, target: Vector) -> Matrix:
+def _information(information: Matrix, target: Transform) -> Matrix:
     """Information of a relative transform, as of one between standpoints."""
-    moved = adjoint(shift(target))
+    moved = adjoint(target)
     return np.asarray(moved.T @ information @ moved)
 
 
@@ -91,5 +91,5 @@ def _ends(pair: FragmentPair, places: Places) -> Standpoints:
     return Standpoints(_place(pair.source, places), _place(pair.target, places))
 
 
-def _place(id_: FragmentId, places: Places) -> Vector:
-    return places.get(id_, np.zeros(3))
+def _place(id_: FragmentId, places: Places) -> Transform:
+    return places.get(id_, np.eye(4))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, Points
-from nss_ros.geometry import Vector
+from nss_ros.geometry import Transform
 from nss_ros.registration.gravity.agreement import SharpView, WallView
 from nss_ros.registration.gravity.method import feature_maps
 from nss_ros.registration.gravity.network import STRIDE, GravityNetwork
@@ -36,7 +36,7 @@ class SubmapFragment:
         view: what its scanner saw, to tell whether what another of its stage saw can be there.
         sharp: the same in more detail, for poses that are aligned.
         network: that made the features.
-        standpoint: (3,) in the frame that the fragment came in, metres.
+        standpoint: (4, 4) pose of it in the frame that the fragment came in.
     """
 
     id: FragmentId
@@ -48,10 +48,10 @@ class SubmapFragment:
     view: WallView
     sharp: SharpView
     network: GravityNetwork
-    standpoint: Vector
+    standpoint: Transform
 
     @classmethod
-    def of(cls, scan: LevelScan, network: GravityNetwork, standpoint: Vector) -> SubmapFragment:
+    def of(cls, scan: LevelScan, network: GravityNetwork, standpoint: Transform) -> SubmapFragment:
         """A prepared scan with its features."""
         return cls(
             scan.id,

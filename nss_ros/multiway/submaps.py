@@ -27,6 +27,7 @@ from nss_ros.multiway.standpoints import between_standpoints, graph_of_fragments
 from nss_ros.multiway.submap_fragment import SubmapFragment, submap_fragment
 from nss_ros.multiway.submap_joining import joined_submaps
 from nss_ros.registration.gravity.weights import load_weights
+from nss_ros.standpoint import is_origin
 
 # A hypothesis fits a submap when it is this near, metres and radians; of two that are, at the next
 # stud for example, the farther one would pull.
@@ -87,7 +88,9 @@ class Submaps:
         Measurements of fragments that cannot be part of a submap are passed on to `choi` as they
         are.
         """
-        places = {id_: each.standpoint for id_, each in prepared.items() if each.standpoint.any()}
+        places = {
+            id_: each.standpoint for id_, each in prepared.items() if not is_origin(each.standpoint)
+        }
         measurements = [between_standpoints(m, places) for m in sorted(measurements, key=canonical)]
         ids = [id_ for id_ in sorted(set(fragments)) if id_ in prepared]
         prepared = {id_: prepared[id_] for id_ in ids}

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair, voxelize
-from nss_ros.geometry import Vector
+from nss_ros.geometry import Transform
 from nss_ros.registration.method import Method
 from nss_ros.registration.pair import register_pair
 from nss_ros.registration.relative_transform import (
@@ -27,7 +27,7 @@ from nss_ros.registration.relative_transform import (
 )
 from nss_ros.standpoint import Standpoints, at_standpoint
 
-_FEATURES = ".prepared"
+_FEATURES = ".seen"
 
 
 def fragment_file(folder: Path, fragment: FragmentId) -> Path:
@@ -55,10 +55,10 @@ def store_fragment(folder: Path, fragment: Fragment, voxel_size: float) -> None:
 
 
 class Prepared(NamedTuple):
-    """What a method made of a fragment as seen from its standpoint (3,), and that."""
+    """What a method made of a fragment as seen from its standpoint (4, 4), and that."""
 
     features: Any
-    standpoint: Vector
+    standpoint: Transform
 
 
 class Preparation(NamedTuple):
@@ -67,20 +67,20 @@ class Preparation(NamedTuple):
     Attributes:
         fragment: its id.
         seconds: how long it took; NaN if it failed.
-        standpoint: (3,) where its scanner stood, metres in the frame that it came in; None if
+        standpoint: (4, 4) pose of where its scanner stood in the frame that it came in; None if
             preparing it failed.
     """
 
     fragment: FragmentId
     seconds: float = float("nan")
-    standpoint: Vector | None = None
+    standpoint: Transform | None = None
 
     @property
     def warning(self) -> str:
-        """Says so if the standpoint is not the origin; else empty."""
-        if self.standpoint is None or not self.standpoint.any():
+        """Says so if the scanner stood elsewhere than at the origin; else empty."""
+        if self.standpoint is None or not self.standpoint[:3, 3].any():
             return ""
-        x, y, z = self.standpoint
+        x, y, z = self.standpoint[:3, 3]
         return (
             f"The origin of fragment {self.fragment} cannot be the place of its scanner, which is "
             f"taken to be ({x:.1f}, {y:.1f}, {z:.1f}) by what it saw. If origins are the scanner's "

@@ -96,7 +96,7 @@ def test_scans_in_which_another_axis_is_vertical_are_told(tmp_path):
     (tmp_path / "scans" / "pose_graph" / "Bldg1_Graph1.json").write_text(json.dumps([graph]))
     result = CliRunner().invoke(app, [str(tmp_path / "scans"), "-o", str(tmp_path / "bag")])
     assert result.exit_code == 0, result.output
-    assert "in which y is vertical" in result.output
+    assert "would if y were vertical" in result.output
 
 
 def test_ground_truth_is_in_its_own_topic_only(shared_data, tmp_path):

@@ -249,12 +249,12 @@ def test_both_directions_of_a_pair_are_used():
 
 def test_tilted_edges_of_levelled_fragments_are_rejected_at_once():
     world = World(3, 0)
-    tilted = from_rotation(Rotation.from_euler("x", 5, degrees=True), np.zeros(3))
+    tilted = from_rotation(Rotation.from_euler("x", 12, degrees=True), np.zeros(3))
     pair = world.pairs[0]
     for level, status in ((True, EdgeStatus.REJECTED), (False, EdgeStatus.ACCEPTED)):
         graph = solve(world, [measured(pair, tilted, level=level)])
         assert graph.edges[0].status is status
-        assert ("tilts levelled fragments by 5.0 deg" in graph.edges[0].reason) == level
+        assert ("tilts levelled fragments by 12.0 deg" in graph.edges[0].reason) == level
 
 
 def test_unknown_fragments_and_low_confidence_are_named():

@@ -7,14 +7,14 @@ import pytest
 
 from nss_ros.config import MultiwayConfig
 from nss_ros.fragment import Fragment, FragmentPair
-from nss_ros.geometry import inverse, relative, rotation_angle
+from nss_ros.geometry import inverse, relative, rotation_angle, transform_points
 from nss_ros.multiway.pose_graph import Alternative, EdgeStatus
 from nss_ros.multiway.solver import prepared_by
 from nss_ros.multiway.standpoints import between_standpoints, graph_of_fragments
 from nss_ros.multiway.submaps import Submaps
-from nss_ros.standpoint import shift
+from nss_ros.standpoint import is_origin, shift
 
-FOOT = np.array([0.0, 0.0, 1.6])
+FOOT = shift((0.0, 0.0, 1.6))
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def moved(ids):
 
 def in_frames(m, moved):
     """A measurement between sensor frames, between the frames that the fragments came in."""
-    return between_standpoints(m, {id_: -place for id_, place in moved.items()})
+    return between_standpoints(m, {id_: inverse(place) for id_, place in moved.items()})
 
 
 def test_a_measurement_there_and_back(building, ids, moved):
@@ -38,7 +38,7 @@ def test_a_measurement_there_and_back(building, ids, moved):
     m = building.right(pair)
     m = replace(m, alternatives=(Alternative(m.T_target_source, m.information, 0.1),))
     there = in_frames(m, moved)
-    expected = shift(FOOT) @ m.T_target_source @ shift(-FOOT)
+    expected = FOOT @ m.T_target_source @ inverse(FOOT)
     assert np.allclose(there.T_target_source, expected)
     assert np.allclose(there.alternatives[0].T_target_source, expected)
     assert not np.allclose(there.information, m.information)
@@ -57,17 +57,23 @@ def test_without_any_all_stays_as_it_is(building, ids):
 def test_submaps_place_fragments_whose_origin_is_on_the_floor(building, ids, moved):
     synchronizer = Submaps(MultiwayConfig())
     fragments = [
-        Fragment(id_, (building.fragments[id_].points + moved.get(id_, 0)).astype(np.float32), True)
+        Fragment(
+            id_,
+            transform_points(moved.get(id_, np.eye(4)), building.fragments[id_].points).astype(
+                np.float32
+            ),
+            True,
+        )
         for id_ in ids
     ]
     prepared = prepared_by(MultiwayConfig(), fragments)
-    assert {id_ for id_ in ids if prepared[id_].standpoint.any()} == moved.keys()
+    assert {id_ for id_ in ids if not is_origin(prepared[id_].standpoint)} == moved.keys()
     answers = [building.right(pair) for pair in building.asked(ids)]
     graph = synchronizer.synchronize_points(ids, [in_frames(m, moved) for m in answers], prepared)
     poses = {id_: node.T_map_fragment for id_, node in graph.poses().items()}
     assert poses.keys() == set(ids)
     assert np.allclose(poses[ids[0]], np.eye(4))
-    sensors = {id_: pose @ shift(moved.get(id_, np.zeros(3))) for id_, pose in poses.items()}
+    sensors = {id_: pose @ moved.get(id_, np.eye(4)) for id_, pose in poses.items()}
     distance, angle = building.worst(sensors)
     assert distance < 0.15
     assert angle < 3
@@ -88,14 +94,14 @@ def test_a_graph_of_standpoints_becomes_one_of_fragments(building, ids, moved):
     for id_ in ids:
         old = relative(before[id_].T_map_fragment, before[ids[0]].T_map_fragment)
         new = relative(after[id_].T_map_fragment, after[ids[0]].T_map_fragment)
-        place = moved.get(id_, np.zeros(3))
-        assert np.allclose(new, shift(FOOT) @ old @ shift(-place), atol=1e-9)
+        place = moved.get(id_, np.eye(4))
+        assert np.allclose(new, FOOT @ old @ inverse(place), atol=1e-9)
         assert np.linalg.eigvalsh(after[id_].covariance)[0] > -1e-9
 
 
 def test_origins_are_taken_for_standpoints_on_request(building, ids):
     fragment = building.fragments[ids[0]]
-    lifted = Fragment(fragment.id, (fragment.points + FOOT).astype(np.float32), True)
+    lifted = Fragment(fragment.id, transform_points(FOOT, fragment.points).astype(np.float32), True)
     for search in (True, False):
         (prepared,) = prepared_by(MultiwayConfig(find_standpoints=search), [lifted]).values()
-        assert prepared.standpoint.any() == search
+        assert is_origin(prepared.standpoint) != search

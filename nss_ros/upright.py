@@ -1,0 +1,86 @@
+"""Which way is up in a fragment whose z axis points about up: told by floors and ceilings.
+
+A tripod is levelled to half a degree. A robot, a trolley or a scanner put down by hand is not, and
+a relative tilt of some degrees hides the right pose from a search of yaw and translation only.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from nss_ros.fragment import Points, clean_points, voxelize
+from nss_ros.geometry import Transform, Vector, from_rotation
+
+_VOXEL_SIZE, _NEIGHBOURS = 0.1, 20
+# Surfaces tilted by more than this, radians, are no floors; the axis is found again among those
+# that are near it.
+_LEVEL, _NEAR = np.radians(12.0), np.radians(4.0)
+# Least points, and least share of them that lies on level surfaces.
+_LEAST_POINTS, _LEAST_LEVEL = 100, 0.1
+# Tilts below this, radians, are those of a levelled tripod, with which the search gets along.
+_TILTED = np.radians(1.5)
+
+
+class LevelSurfaces(NamedTuple):
+    """Floors and ceilings of a fragment.
+
+    Attributes:
+        up: (3,) unit vector across them, upwards.
+        points: (n, 3) voxelised, on them.
+        share: of all voxelised points, that lies on them.
+    """
+
+    up: Vector
+    points: Points
+    share: float
+
+    @property
+    def tilt(self) -> float:
+        """Angle between up and the z axis, radians."""
+        return float(np.arccos(min(self.up[2], 1.0)))
+
+
+def level_surfaces(points: Points) -> LevelSurfaces | None:
+    """Floors and ceilings; None where too little is level.
+
+    Args:
+        points: (n, 3), metres, z within some degrees of up.
+    """
+    cloud = voxelize(clean_points(points), _VOXEL_SIZE)
+    if len(cloud) < _LEAST_POINTS:
+        return None
+    normals = _normals(cloud)
+    up = np.array([0.0, 0.0, 1.0])
+    for reach in (_LEVEL, _LEVEL, _NEAR):
+        level = np.abs(normals @ up) > np.cos(reach)
+        if level.mean() < _LEAST_LEVEL:
+            return None
+        up = np.linalg.eigh(normals[level].T @ normals[level])[1][:, -1]
+        up *= np.copysign(1.0, up[2])
+    return LevelSurfaces(up, cloud[level], float(level.mean()))
+
+
+def upright_frame(points: Points) -> Transform:
+    """Pose (4, 4) of an upright frame with the same origin; the identity unless it is tilted.
+
+    Args:
+        points: (n, 3), metres, z within some degrees of up.
+    """
+    surfaces = level_surfaces(points)
+    if surfaces is None or surfaces.tilt < _TILTED:
+        return np.eye(4)
+    turn = np.cross((0.0, 0.0, 1.0), surfaces.up)
+    rotation = Rotation.from_rotvec(turn / np.linalg.norm(turn) * surfaces.tilt)
+    return from_rotation(rotation, np.zeros(3))
+
+
+def _normals(points: Points) -> NDArray[np.float64]:
+    import open3d as o3d  # costs seconds
+
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(_NEIGHBOURS))
+    return np.asarray(cloud.normals)
