@@ -27,6 +27,8 @@ _FLOOR_RADIUS = 4.8
 # A point has so many others beside it, no farther than the first times what is usual, or than the
 # second times its range: far from a scanner points are sparse.
 _BESIDE, _LONELY, _LONELY_FAR = 3, 2.5, 0.04
+# Share of the points that have others beside them in a clean scan.
+_CLEAN = 0.99
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,16 +83,18 @@ def is_wide_scan(fragment: Fragment) -> bool:
 
 
 def without_floating(points: Points) -> Points:
-    """The points (n, 3) that have others beside them.
+    """The points (n, 3), without those that float in empty air if they are many.
 
-    Where a beam meets an edge, or a mirror, scanners see points in empty air.
+    Scanners see such points where a beam meets an edge, or a mirror. Of a clean scan up to half a
+    percent lie alone, and are not floating.
     """
     if len(points) <= _BESIDE:
         return points
     distance = cKDTree(points).query(points, [_BESIDE + 1])[0][:, 0]
     usual = _LONELY * float(np.median(distance))
     reach = np.maximum(usual, _LONELY_FAR * np.linalg.norm(points, axis=1))
-    return np.asarray(points[distance < reach])
+    beside = distance < reach
+    return points if beside.mean() > _CLEAN else np.asarray(points[beside])
 
 
 def _reach(fragment: Fragment) -> float:
