@@ -4,6 +4,7 @@
     ./nss python benchmarks/registration.py DATASET [--method NAME ...] [--split NAME] [--pairs N]
     ./nss python benchmarks/registration.py DATASET --method gravity --ablations
     ./nss python benchmarks/registration.py DATASET --tilt 1 2 3 --noise 0.01 0.03
+    ./nss python benchmarks/registration.py DATASET --floating 0.1 --robot
 
 One row per method and variant: recall with 95 % bootstrap intervals, seconds of a pair with the
 features of its fragments cached and not, most memory of a worker process, calibration of the
@@ -12,7 +13,8 @@ not; then recall by overlap ratio and by temporal change ratio. All see the same
 
 `--vary METHOD:SETTING=A,B` adds a variant of a method for each value, `--ablations` those in
 ABLATIONS, `--tilt` and `--noise` each method on fragments out of level by so many degrees, and
-with ranges that are off by a standard deviation of so many metres.
+with ranges that are off by a standard deviation of so many metres, `--floating` with so many points
+in empty air, as a share of all, and `--robot` with the body of a robot that carries the scanner.
 """
 
 from __future__ import annotations
@@ -75,6 +77,8 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--ablations", action="store_true", help="also vary as ABLATIONS say")
     result.add_argument("--tilt", type=float, nargs="+", default=[], help="degrees")
     result.add_argument("--noise", type=float, nargs="+", default=[], help="metres")
+    result.add_argument("--floating", type=float, nargs="+", default=[], help="share of points")
+    result.add_argument("--robot", action="store_true", help="also on a robot that is seen")
     form = result.add_mutually_exclusive_group()
     form.add_argument("--markdown", action="store_true", help="print tables as Markdown")
     form.add_argument("--json", action="store_true", help="print all figures as JSON")
@@ -134,6 +138,8 @@ def chosen_variants(arguments: argparse.Namespace) -> Iterator[Variant]:
     wanted = [*arguments.vary, *(ABLATIONS if arguments.ablations else ())]
     perturbations = [Perturbation(tilt=tilt, seed=arguments.seed) for tilt in arguments.tilt]
     perturbations += [Perturbation(range_noise=m, seed=arguments.seed) for m in arguments.noise]
+    perturbations += [Perturbation(floating=f, seed=arguments.seed) for f in arguments.floating]
+    perturbations += [Perturbation(robot=True, seed=arguments.seed)] if arguments.robot else []
     for method in arguments.method or method_names():
         yield Variant(method, common=common)
         for override in overrides_of(method, wanted):

@@ -1,4 +1,4 @@
-"""Fragments as worse scanners would have taken them: out of level, and with noisier ranges.
+"""Fragments as other scanners take them: out of level, noisier, or on a robot that they see.
 
 A tilted tripod turns the sensor frame, and with it the true pose, so that ground truth stays true:
 what the frame tells of gravity is wrong, and nothing else.
@@ -26,16 +26,22 @@ class Perturbation:
         tilt: angle of the sensor's z axis to the vertical, about a level axis drawn at random,
             degrees.
         range_noise: standard deviation added to every range, metres.
-        seed: of the axes and the noise.
+        floating: points in empty air, between the sensor and what it saw, as a share of all.
+        robot: the scanner stands on a robot, and sees its body.
+        seed: of the axes, the noise and the points.
     """
 
     tilt: float = 0.0
     range_noise: float = 0.0
+    floating: float = 0.0
+    robot: bool = False
     seed: int = 0
 
     def __str__(self) -> str:
         parts = [f"tilt {self.tilt:g} deg"] if self.tilt else []
         parts += [f"noise {self.range_noise:g} m"] if self.range_noise else []
+        parts += [f"{self.floating:.0%} floating"] if self.floating else []
+        parts += ["robot"] if self.robot else []
         return ", ".join(parts)
 
     def fragment(self, fragment: Fragment) -> Fragment:
@@ -43,6 +49,10 @@ class Perturbation:
         points = fragment.points
         if self.range_noise:
             points = _with_range_noise(points, self.range_noise, self._random(fragment.id, "noise"))
+        if self.floating:
+            points = _with_floating(points, self.floating, self._random(fragment.id, "floating"))
+        if self.robot:
+            points = np.concatenate((points, _body_of_robot()))
         if self.tilt:
             turn = self.T_tilted_level(fragment.id)
             points = transform_points(turn, points).astype(np.float32)
@@ -102,3 +112,18 @@ def _with_range_noise(points: Points, deviation: float, random: np.random.Genera
     noise: NDArray[np.float64] = random.normal(0.0, deviation, len(points))
     scale = np.maximum(1 + noise / np.maximum(ranges, 1e-6), 0.0)
     return np.asarray(points * scale[:, None], dtype=np.float32)
+
+
+def _with_floating(points: Points, share: float, random: np.random.Generator) -> Points:
+    """Points (n, 3), and others before so many of them."""
+    chosen = points[random.permutation(len(points))[: round(share * len(points))]]
+    nearer = (chosen * random.uniform(0.3, 1.0, (len(chosen), 1))).astype(np.float32)
+    return np.concatenate((points, nearer))
+
+
+def _body_of_robot() -> Points:
+    """The upper half of an ellipsoid of 1.1 x 0.8 x 0.3 m beneath the sensor, (n, 3)."""
+    outward = np.random.default_rng(0).normal(size=(4000, 3))
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    outward[:, 2] = np.abs(outward[:, 2])
+    return (outward * (0.55, 0.4, 0.33) - (0.0, 0.0, 0.6)).astype(np.float32)

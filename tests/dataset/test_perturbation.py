@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from nss_ros.carrier import without_carrier
 from nss_ros.dataset.perturbation import Perturbation
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.geometry import from_yaw, inverse, relative, tilt_angle, transform_points
@@ -77,3 +80,28 @@ def test_the_same_fragment_is_perturbed_the_same_and_others_otherwise():
     assert not np.allclose(T_one, T_other, atol=1e-3)
     reseeded = Perturbation(tilt=2.0, range_noise=0.02, seed=1)
     assert not np.allclose(reseeded.fragment(one).points, both.fragment(one).points, atol=1e-3)
+
+
+def test_floating_points_lie_before_what_is_seen():
+    fragment, _ = fragments()
+    points = Perturbation(floating=0.2).fragment(fragment).points
+    assert np.array_equal(points[: len(fragment.points)], fragment.points)
+    added = points[len(fragment.points) :]
+    assert len(added) == round(0.2 * len(fragment.points))
+    directions, rays = (
+        each / np.linalg.norm(each, axis=1)[:, None] for each in (added, fragment.points)
+    )
+    assert (directions @ rays.T).max(axis=1) == pytest.approx(1.0, abs=1e-5)
+    assert np.linalg.norm(added, axis=1).max() <= np.linalg.norm(fragment.points, axis=1).max()
+
+
+def test_a_robot_is_beneath_the_sensor_and_is_left_out_again():
+    fragment, _ = fragments()
+    carried = Perturbation(robot=True)
+    points = carried.fragment(fragment).points
+    body = points[len(fragment.points) :]
+    assert len(body) > 1000
+    assert body[:, 2].max() < -0.2
+    assert np.hypot(*body[:, :2].T).max() < 0.6
+    assert np.array_equal(without_carrier(points), without_carrier(fragment.points))
+    assert str(replace(carried, floating=0.1)) == "10% floating, robot"
