@@ -1,16 +1,17 @@
-"""Relative transforms of pairs that nobody asked for, or that were wrong, found by their submap."""
+"""What a submap tells of pairs: transforms that nobody asked for, and how sure the others are."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.geometry import Transform, relative
-from nss_ros.icp import Surface, moved_by
+from nss_ros.geometry import Matrix, Transform, relative
+from nss_ros.icp import Refined, Surface, moved_by
 from nss_ros.multiway.measurement import information
 from nss_ros.multiway.pose_graph import Measurement
 from nss_ros.multiway.spanning_tree import Poses, components
@@ -58,6 +59,26 @@ def closures(
         for end in _ends(pair):
             degrees[end] += 1
     return found + _links(part, [*accepted, *found], [pair for _, pair in left], surfaces)
+
+
+def decided(
+    measurements: Iterable[Measurement], fragments: Fragments, config: RegistrationConfig
+) -> list[Measurement]:
+    """Measurements that a submap says are right, with the information of their alignment alone.
+
+    The covariance of a pair also holds what its other hypotheses say, along a corridor metres. Once
+    it is decided which one is right, that lets poses slide where turns do not quite agree.
+
+    Args:
+        measurements: that fit the submap; those by people stay as they are.
+        fragments: prepared.
+        config: of the alignment.
+    """
+    surfaces = _Surfaces(fragments, config)
+    return [
+        m if m.manual else replace(m, information=surfaces.aligned(m.pair, m.T_target_source)[1])
+        for m in measurements
+    ]
 
 
 def _links(
@@ -117,22 +138,27 @@ class _Surfaces:
 
     def measured(self, pair: FragmentPair, part: Poses) -> Measurement:
         """The alignment of a pair near the poses of its submap."""
-        refined = refined_near(
-            self._sample(pair.source, COARSE_POINTS),
-            self._sample(pair.source, self._config.icp.max_points),
-            self._surface(pair.target),
-            relative(part[pair.source], part[pair.target]),
-            self._config,
-        )
+        refined, information_ = self.aligned(pair, relative(part[pair.source], part[pair.target]))
         return Measurement(
             pair,
             refined.T_target_source,
-            information(refined.covariance),
+            information_,
             confidence=SUBMAP_CONFIDENCE,
             inliers=refined.correspondences,
             level=True,
             submap=True,
         )
+
+    def aligned(self, pair: FragmentPair, T_target_source: Transform) -> tuple[Refined, Matrix]:
+        """The alignment of a pair near a transform, and its information (6, 6)."""
+        refined = refined_near(
+            self._sample(pair.source, COARSE_POINTS),
+            self._sample(pair.source, self._config.icp.max_points),
+            self._surface(pair.target),
+            T_target_source,
+            self._config,
+        )
+        return refined, information(refined.covariance)
 
     def _surface(self, id_: FragmentId) -> Surface:
         if id_ not in self._whole:

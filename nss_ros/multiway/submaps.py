@@ -17,7 +17,7 @@ from nss_ros.config import GravityConfig, MultiwayConfig, RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId
 from nss_ros.geometry import relative
 from nss_ros.multiway.choi import Choi, canonical
-from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures
+from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures, decided
 from nss_ros.multiway.hypotheses import fitting_hypothesis
 from nss_ros.multiway.known import known_by
 from nss_ros.multiway.pose_graph import Measurement, PoseGraph
@@ -99,7 +99,8 @@ class Submaps:
         parts = joined_submaps(ids, inside, prepared, self._choi)
         held = {end for m in inside if m.manual for end in (m.pair.source, m.pair.target)}
         parts = [settled(part, prepared, held) for part in parts]
-        kept, rejected = _judged(inside, parts)
+        fitting, rejected = _judged(inside, parts)
+        kept = decided(fitting, prepared, self._registration)
         found = [
             each
             for part in parts

@@ -1,6 +1,7 @@
 """Measurements that nobody asked for, or that were wrong, made from where a submap puts them."""
 
 from collections import Counter
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import FragmentPair
 from nss_ros.geometry import from_yaw, tilt_angle
-from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures
+from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures, decided
 from nss_ros.multiway.pose_graph import EdgeKind
 from nss_ros.multiway.spanning_tree import components
 
@@ -123,3 +124,17 @@ def test_the_order_of_the_poses_does_not_matter(building, part, found):
     for one, other in zip(again, found, strict=True):
         assert one.T_target_source.tobytes() == other.T_target_source.tobytes()
         assert one.information.tobytes() == other.information.tobytes()
+
+
+def test_what_is_decided_is_no_longer_spread_over_other_hypotheses(building, ids):
+    pair = FragmentPair(ids[0], ids[1])
+    slid = np.diag([1 / 0.5**2, 1e4, 1e4, 1e5, 1e5, 1e5])
+    ambiguous = replace(building.right(pair), information=slid)
+    by_hand = replace(ambiguous, manual=True)
+    sure, kept = decided([ambiguous, by_hand], building.prepared, CONFIG)
+    assert kept is by_hand
+    assert sure.T_target_source is ambiguous.T_target_source
+    assert sure.confidence == ambiguous.confidence
+    deviations = np.sqrt(np.diag(np.linalg.inv(sure.information)))
+    assert deviations[:3].max() < 0.05
+    assert np.degrees(deviations[3:].max()) < 0.5
