@@ -32,16 +32,28 @@ class LevelSurfaces(NamedTuple):
         up: (3,) unit vector across them, upwards.
         points: (n, 3) voxelised, on them.
         share: of all voxelised points, that lies on them.
+        walls: (m, 3) unit normals of what stands about upright on them.
     """
 
     up: Vector
     points: Points
     share: float
+    walls: NDArray[np.float64]
 
     @property
     def tilt(self) -> float:
         """Angle between up and the z axis, radians."""
         return float(np.arccos(min(self.up[2], 1.0)))
+
+    @property
+    def walls_agree(self) -> bool:
+        """Whether walls stand upright on them rather than along the z axis.
+
+        They do if the scanner is tilted; if the ground slopes, they do not.
+        """
+        if len(self.walls) < _LEAST_POINTS:
+            return False
+        return float(np.mean((self.walls @ self.up) ** 2)) < float(np.mean(self.walls[:, 2] ** 2))
 
 
 def level_surfaces(points: Points) -> LevelSurfaces | None:
@@ -61,17 +73,20 @@ def level_surfaces(points: Points) -> LevelSurfaces | None:
             return None
         up = np.linalg.eigh(normals[level].T @ normals[level])[1][:, -1]
         up *= np.copysign(1.0, up[2])
-    return LevelSurfaces(up, cloud[level], float(level.mean()))
+    walls = normals[np.maximum(np.abs(normals @ up), np.abs(normals[:, 2])) < np.sin(_LEVEL)]
+    return LevelSurfaces(up, cloud[level], float(level.mean()), walls)
 
 
 def upright_frame(points: Points) -> Transform:
-    """Pose (4, 4) of an upright frame with the same origin; the identity unless it is tilted.
+    """Pose (4, 4) of an upright frame with the same origin; the identity unless this one is tilted.
+
+    Walls must tell the same as floors and ceilings: ground may slope.
 
     Args:
         points: (n, 3), metres, z within some degrees of up.
     """
     surfaces = level_surfaces(points)
-    if surfaces is None or surfaces.tilt < _TILTED:
+    if surfaces is None or surfaces.tilt < _TILTED or not surfaces.walls_agree:
         return np.eye(4)
     turn = np.cross((0.0, 0.0, 1.0), surfaces.up)
     rotation = Rotation.from_rotvec(turn / np.linalg.norm(turn) * surfaces.tilt)

@@ -107,6 +107,14 @@ def test_a_tilted_scanner_is_set_upright(scans, degrees):
         assert np.degrees(rotation_angle(place)) < 1.3 * degrees + 1.5
 
 
+def test_ground_that_slopes_beneath_upright_walls_is_no_tilt(scans):
+    """The floor and the ceiling slope by four degrees, the walls do not."""
+    for fragment in scans[::5]:
+        points = fragment.points.copy()
+        points[:, 2] += np.float32(np.tan(np.radians(4))) * points[:, 0]
+        assert is_origin(at_standpoint(Fragment(fragment.id, points, True))[1])
+
+
 def test_tilts_are_left_on_request(scans):
     turn = Rotation.from_euler("x", 3, degrees=True)
     tilted = Fragment(scans[0].id, (scans[0].points @ turn.as_matrix()).astype(np.float32), True)
