@@ -128,6 +128,16 @@ def to_quaternion(transform: Transform) -> Vector:
     return np.asarray(quaternion, dtype=np.float64)
 
 
+def from_up(up: ArrayLike) -> Transform:
+    """The smallest turn that takes the z axis to the direction of a vector (3,), not downwards."""
+    x, y, z = np.asarray(up, dtype=np.float64)
+    axis = np.array((-y, x, 0.0))
+    sine = float(np.linalg.norm(axis))
+    if sine == 0:
+        return np.eye(4)
+    return from_rotation(Rotation.from_rotvec(axis / sine * np.arctan2(sine, z)), np.zeros(3))
+
+
 def from_yaw(yaw: float, translation: ArrayLike) -> Transform:
     """A transform that turns about z by `yaw` radians."""
     return from_rotation(Rotation.from_euler("z", yaw), translation)

@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from nss_ros.fragment import Points, clean_points, voxelize
-from nss_ros.geometry import Transform, Vector, from_rotation
+from nss_ros.geometry import Transform, Vector, from_up
 
 _VOXEL_SIZE, _NEIGHBOURS = 0.1, 20
 # Surfaces tilted by more than this, radians, are no floors; the axis is found again among those
@@ -88,9 +87,7 @@ def upright_frame(points: Points) -> Transform:
     surfaces = level_surfaces(points)
     if surfaces is None or surfaces.tilt < _TILTED or not surfaces.walls_agree:
         return np.eye(4)
-    turn = np.cross((0.0, 0.0, 1.0), surfaces.up)
-    rotation = Rotation.from_rotvec(turn / np.linalg.norm(turn) * surfaces.tilt)
-    return from_rotation(rotation, np.zeros(3))
+    return from_up(surfaces.up)
 
 
 def _normals(points: Points) -> NDArray[np.float64]:

@@ -11,6 +11,7 @@ from nss_ros.geometry import (
     as_transform,
     exponential,
     from_quaternion,
+    from_up,
     from_yaw,
     inverse,
     is_transform,
@@ -124,3 +125,13 @@ def test_spherical_coordinates_give_the_points_back(points):
         (-flat * np.cos(azimuth), -flat * np.sin(azimuth), -distance * np.cos(elevation)), axis=-1
     )
     np.testing.assert_allclose(back, points, atol=1e-6)
+
+
+@given(st.tuples(numbers, numbers, st.floats(0.01, 3)))
+def test_the_z_axis_is_turned_to_a_direction_by_no_more_than_it_takes(up):
+    transform = from_up(up)
+    assert is_transform(transform)
+    direction = np.array(up) / np.linalg.norm(up)
+    assert np.allclose(transform[:3, 2], direction, atol=1e-9)
+    assert np.isclose(rotation_angle(transform), tilt_angle(transform), atol=1e-6)
+    assert not transform[:3, 3].any()

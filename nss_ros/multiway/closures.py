@@ -10,7 +10,7 @@ import numpy as np
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.geometry import Matrix, Transform, relative
+from nss_ros.geometry import Transform, relative
 from nss_ros.icp import Refined, Surface, moved_by
 from nss_ros.multiway.measurement import information
 from nss_ros.multiway.pose_graph import Measurement
@@ -76,7 +76,11 @@ def decided(
     """
     surfaces = _Surfaces(fragments, config)
     return [
-        m if m.manual else replace(m, information=surfaces.aligned(m.pair, m.T_target_source)[1])
+        m
+        if m.manual
+        else replace(
+            m, information=information(surfaces.aligned(m.pair, m.T_target_source).covariance)
+        )
         for m in measurements
     ]
 
@@ -138,27 +142,26 @@ class _Surfaces:
 
     def measured(self, pair: FragmentPair, part: Poses) -> Measurement:
         """The alignment of a pair near the poses of its submap."""
-        refined, information_ = self.aligned(pair, relative(part[pair.source], part[pair.target]))
+        refined = self.aligned(pair, relative(part[pair.source], part[pair.target]))
         return Measurement(
             pair,
             refined.T_target_source,
-            information_,
+            information(refined.covariance),
             confidence=SUBMAP_CONFIDENCE,
             inliers=refined.correspondences,
             level=True,
             submap=True,
         )
 
-    def aligned(self, pair: FragmentPair, T_target_source: Transform) -> tuple[Refined, Matrix]:
-        """The alignment of a pair near a transform, and its information (6, 6)."""
-        refined = refined_near(
+    def aligned(self, pair: FragmentPair, T_target_source: Transform) -> Refined:
+        """The alignment of a pair near a transform."""
+        return refined_near(
             self._sample(pair.source, COARSE_POINTS),
             self._sample(pair.source, self._config.icp.max_points),
             self._surface(pair.target),
             T_target_source,
             self._config,
         )
-        return refined, information(refined.covariance)
 
     def _surface(self, id_: FragmentId) -> Surface:
         if id_ not in self._whole:

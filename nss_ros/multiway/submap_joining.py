@@ -14,10 +14,9 @@ from heapq import heappop, heappush
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from nss_ros.fragment import FragmentId
-from nss_ros.geometry import Transform, from_rotation, inverse
+from nss_ros.geometry import Transform, from_up, inverse
 from nss_ros.multiway.agglomeration import Ambiguous, Loss, joined_parts
 from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.contradictions import are_usual, loss_of_pair, loss_of_parts, noise_of
@@ -280,12 +279,7 @@ def _levelled(part: Poses) -> Poses:
     That of one tripod is half a degree off, which at the other end of a floor is decimetres.
     """
     mean = np.mean([pose[:3, 2] for pose in part.values()], axis=0)
-    axis = np.cross(mean, (0.0, 0.0, 1.0))
-    sine = np.linalg.norm(axis)
-    if sine == 0:
-        return part
-    angle = np.arctan2(sine, mean[2])
-    level = from_rotation(Rotation.from_rotvec(axis / sine * angle), np.zeros(3))
+    level = inverse(from_up(mean))
     return {id_: level @ pose for id_, pose in part.items()}
 
 

@@ -122,6 +122,33 @@ def test_of_two_buildings_the_confidence_is_lower(method, features):
     assert max(confidences[3]) < 0.15
 
 
+def test_an_unsure_answer_is_that_of_the_surer_maps(method, features, monkeypatch):
+    """Whichever it is, what the other maps found stays among the hypotheses."""
+    ends = features[ONE], features[LATER]
+    monkeypatch.setattr("nss_ros.registration.gravity.method._SURE", 0.0)
+    wide = method.register(*ends, 0)
+    monkeypatch.setattr("nss_ros.registration.gravity.method._SURE", 1.1)
+    answer = method.register(*ends, 0)
+    usual = method.register(*(each.near for each in ends), 0)
+    assert answer.confidence == max(wide.confidence, usual.confidence)
+    better = max(wide, usual, key=lambda each: each.confidence)
+    assert np.array_equal(answer.T_target_source, better.T_target_source)
+    assert len(answer.alternatives) >= len(better.alternatives)
+    probabilities = [each.probability for each in answer.alternatives]
+    assert probabilities == sorted(probabilities, reverse=True)
+    assert answer.confidence + sum(probabilities) <= 1 + 1e-6
+
+
+def test_where_all_is_far_wide_maps_are_all_there_is(method, site, features):
+    fragments, _ = site
+    points = fragments[ONE].points * np.float32(20)
+    beyond = points[np.linalg.norm(points, axis=1) > 13]
+    far = method.prepare(Fragment(ONE, beyond, True))
+    assert far.shape is not None
+    assert far.near is None
+    assert method.register(far, features[OTHER], 0).reason is Reason.NONE
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_one_with_wide_maps_is_registered_with_a_usual_one(method, site, features, turned):
     fragments, poses = site

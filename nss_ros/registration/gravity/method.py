@@ -76,7 +76,8 @@ class GravityFeatures:
         maps: (2, CHANNELS, h, w) float32, as a source: for a pair of different stages, and for
             one of one stage; None when `shape` is.
         generic: features for `fpfh_ransac` when it is not levelled, else None.
-        near: of a fragment with wide maps, the same with maps of the usual size; else None.
+        near: of a fragment with wide maps, the same with maps of the usual size; None without
+            wide maps, or where too few points are near.
     """
 
     id: FragmentId
@@ -117,10 +118,12 @@ class Gravity:
         if not fragment.gravity_aligned:
             generic = self._generic.prepare(fragment)
             return GravityFeatures(fragment.id, len(generic.points), None, None, generic)
+        usual = self.prepare_scan(scan_of(fragment, self.config))
         if not is_wide_scan(fragment):
-            return self.prepare_scan(scan_of(fragment, self.config))
-        near = self.prepare_scan(scan_of(fragment, self.config))
-        return replace(self.prepare_scan(wide_scan_of(fragment, self.config)), near=near)
+            return usual
+        wide = self.prepare_scan(wide_scan_of(fragment, self.config))
+        # On open ground nearly all may be beyond the usual maps.
+        return wide if usual.shape is None else replace(wide, near=usual)
 
     def prepare_scan(self, scan: LevelScan) -> GravityFeatures:
         """Features of a levelled fragment."""
@@ -295,7 +298,7 @@ class Gravity:
         alignments = self._alignments(source, target, found)
         candidates = self._candidates(source, target, found, alignments)
         judgement = self._judged(pair, candidates)
-        usual = not is_wide(*self._maps(source, target))
+        usual = not is_wide(*self._features(source, target, 1))
         if pair.same_stage and usual and judgement.probabilities.max() < _SURE:
             for each in self._tolerant_alignments(source, target, found):
                 if not _is_known(each.refined.T_target_source, alignments):
