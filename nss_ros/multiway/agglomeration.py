@@ -39,6 +39,9 @@ _MOST_IN_LOOPS = 3
 _MOST_LOOPS = 12
 # Hypotheses between two parts from which the best transform is chosen; all have a vote.
 _MOST_CANDIDATES = 40
+# Between parts of so many fragments each, many pairs are wrong alike where rooms are: what they say
+# together has a limit, logarithm of the odds.
+_LARGE, _MOST_OF_LARGE = 3, 8.0
 
 Array = NDArray[np.float64]
 #: What a transform from the frame of the second part to that of the first loses by what is seen
@@ -280,8 +283,11 @@ def _link(
     if gains_of_loops is not None and len(pairs) == 1:
         scores = scores + gains_of_loops[candidates]
     best = int(np.argmax(scores))
+    odds = _odds(scores, agree[:, candidates], best, float(votes.doubts.sum()))
+    if min(len(one), len(other)) >= _LARGE and not votes.given:
+        odds = min(odds, _MOST_OF_LARGE)
     return _Link(
-        _odds(scores, agree[:, candidates], best, float(votes.doubts.sum())),
+        odds,
         _mean(votes.transforms[agree[best]], np.exp(votes.weights[agree[best]])),
     )
 
@@ -356,8 +362,12 @@ class Votes:
         Args:
             agree: (k, h), with which hypotheses.
         """
-        given = self.starts[self.doubts < _GIVEN]
-        return np.asarray(agree[:, given].sum(axis=1))
+        return np.asarray(agree[:, self.given].sum(axis=1))
+
+    @property
+    def given(self) -> list[int]:
+        """Numbers of the hypotheses that a person gave."""
+        return [int(each) for each in self.starts[self.doubts < _GIVEN]]
 
 
 def _odds(scores: Array, agree: NDArray[np.bool_], best: int, elsewhere: float) -> float:

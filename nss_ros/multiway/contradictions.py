@@ -66,8 +66,9 @@ def loss_of_parts(
     fragments: Fragments,
     noise: float = 0.0,
 ) -> float:
-    """What a link of two parts loses by the worst contradiction of fragments near each other.
+    """What a link of two parts loses by the worst contradictions of fragments near each other.
 
+    Each fragment tells once: what one has of people contradicts all that others saw there.
     Scans that reach far have a measure of their own, see `conflict_loss`, and lose nothing here.
 
     Args:
@@ -77,15 +78,20 @@ def loss_of_parts(
         fragments: all of them.
         noise: of the map's pairs, see `noise_of`.
     """
-    largest = 0.0
+    none = _LARGEST_NONE + _LARGEST_NOISE * noise
+    found: list[tuple[float, FragmentId, FragmentId]] = []
     for source, target in nearest_pairs(one, other, transform, _MOST_PAIRS):
         scans = fragments[source], fragments[target]
         if are_usual(*scans):
             pose = relative(transform @ other[source], one[target])
-            seen = contradiction(scans[0].sharp, scans[1].sharp, pose)
-            largest = max(largest, seen.share)
-    none = _LARGEST_NONE + _LARGEST_NOISE * noise
-    return min(_WEIGHT * max(largest - none, 0.0), _MOST_LARGEST)
+            share = contradiction(scans[0].sharp, scans[1].sharp, pose).share
+            found.append((share - none, source, target))
+    loss, told = 0.0, set[FragmentId]()
+    for excess, *ends in sorted(found, reverse=True):
+        if excess > 0 and told.isdisjoint(ends):
+            loss += min(_WEIGHT * excess, _MOST_LARGEST)
+            told.update(ends)
+    return loss
 
 
 def are_usual(one: SubmapFragment, other: SubmapFragment) -> bool:

@@ -37,6 +37,9 @@ from nss_ros.registration.gravity.agreement import agreement
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
 _SURE_PAIRS, _LEAST_ODDS = 3.0, 0.0
+# Of two submaps that both are large: joined wrongly, half of a map is. Of 11 such links with less
+# than 7, in five buildings, the three with less than 1 were wrong.
+_LEAST_OF_LARGE = 2.0
 # A fragment that saw little, in the middle of a hall for example, fits some place of a large submap
 # with less than this: of 28 such, in four buildings, 15 were in their place. They come last, and
 # none by what another of them says, or one that is wrong has others go wrong.
@@ -135,7 +138,7 @@ class Joining:
             elif link.odds == odds:
                 if link.odds < _LEAST_ODDS:
                     return
-                if self._is_doubtful(odds, one, other):
+                if self._is_doubtful(odds, one, other) or self._is_weak(odds, one, other):
                     continue
                 yield link.odds, self.submaps[one], self.submaps[other], link
                 self._join(one, other, link)
@@ -156,6 +159,11 @@ class Joining:
         """Whether a single fragment fits a large submap, but so little that it may be by chance."""
         small, large = sorted(len(self.submaps[each].poses) for each in (one, other))
         return small == 1 and large >= _SMALL and _LEAST_ODDS <= odds < _DOUBTFUL
+
+    def _is_weak(self, odds: float, one: int, other: int) -> bool:
+        """Whether too little speaks for a link of two large submaps."""
+        small = min(len(self.submaps[each].poses) for each in (one, other))
+        return small >= _SMALL and odds < _LEAST_OF_LARGE
 
     def _link_unasked(self) -> None:
         """Links of large submaps of one area between which no pair was asked for."""

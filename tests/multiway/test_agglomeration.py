@@ -281,3 +281,22 @@ def test_a_link_is_looked_at_once_before_it_is_followed(poses):
     assert order == [{first, second}, {second, third}, {first, second, third}]
     parts = joined_parts([first, second], [sure], CLOSE, 0.0, loss=loss)
     assert [len(part) for part in parts] == [1, 1]
+
+
+def test_what_pairs_of_large_parts_say_together_has_a_limit(poses):
+    """Where rooms are alike, they are wrong alike; the word of a person has none."""
+    ids = sorted(poses)[:6]
+    halves = [{id_: poses[id_] for id_ in some} for some in (ids[:3], ids[3:])]
+    between = [measured(poses, (one, other), 0.9) for one in ids[:3] for other in ids[3:]]
+
+    def sizes(measurements, known, loss):
+        found = joined_parts(ids, measurements, CLOSE, 3.0, known, lambda *_: loss)
+        return [len(part) for part in found]
+
+    assert sizes(between, halves, 4.0) == [6]
+    assert sizes(between, halves, 6.0) == [3, 3]
+    constraint = replace(between[0], manual=True)
+    assert sizes([constraint, *between[1:]], halves, 6.0) == [6]
+    # One more fragment has nothing that could be wrong alike.
+    alone = [m for m in between if m.pair.target == ids[3]]
+    assert sizes(alone, [halves[0]], 6.0) == [4, 1, 1]

@@ -55,6 +55,16 @@ def test_parts_laid_over_each_other_wrongly_lose(building, ids):
         assert loss_of_parts(one, other, truth @ move, building.prepared) > 3
 
 
+def test_each_fragment_tells_once(building, ids):
+    """People about one scanner take no more than one fragment may; a wrong place takes more."""
+    one, other, truth = halves(building, ids)
+    wrong = truth @ from_yaw(np.pi, (0, 0, 0))
+    assert loss_of_parts(one, other, wrong, building.prepared) > 8
+    crowd = with_people(building.fragments[ids[0]], np.random.default_rng(3))
+    prepared = building.prepared | prepared_by(MultiwayConfig(), [crowd])
+    assert 0 < loss_of_parts(one, other, truth, prepared) <= 8
+
+
 def test_both_parts_are_looked_at_alike(building, ids):
     one, other, truth = halves(building, ids)
     wrong = truth @ from_yaw(0.3, (1, 0, 0))

@@ -13,6 +13,7 @@ from nss_ros.multiway.agglomeration import joined_parts
 from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.pose_graph import Measurement
 from nss_ros.multiway.solver import prepared_by
+from nss_ros.multiway.submap import SubmapLink
 from nss_ros.multiway.submap_joining import Joining, _straight_parts, joined_submaps
 
 CHOI = Choi(MultiwayConfig())
@@ -230,6 +231,20 @@ def test_of_sure_links_those_of_large_submaps_come_first(building, ids, pairs):
     assert joining._priority(3.0, one, other) == 3.0
     assert joining._priority(np.inf, one, other) == np.inf
     assert joining._priority(20.0, one, other) > joining._priority(7.0, one, other)
+
+
+def test_two_large_submaps_are_not_joined_by_little(building, ids, pairs):
+    """Half of the map would be wrong; a single fragment is joined with as much, but last."""
+    joining = Joining(ids, [building.right(p) for p in pairs], building.prepared, CHOI)
+    one, other = sorted(joining.submaps, key=lambda n: -len(joining.submaps[n].poses))[:2]
+    sizes = [len(joining.submaps[each].poses) for each in (one, other)]
+    assert min(sizes) >= 3
+    assert joining._is_weak(1.5, one, other)
+    assert not joining._is_weak(2.5, one, other)
+    link = joining._links[min(one, other), max(one, other)] = SubmapLink(1.5, np.eye(4))
+    joining._queue = [(-link.odds, min(one, other), max(one, other), link.odds)]
+    assert not list(joining._join_while_sure())
+    assert {one, other} <= joining.submaps.keys()
 
 
 def ring(bend, count=16, radius=6.0):

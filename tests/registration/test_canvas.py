@@ -98,6 +98,22 @@ def test_the_true_pose_scores_far_more_than_any_other(area):
         assert canvas_score(source, target, truth @ from_yaw(yaw, (x, y, 0))) < best - 10
 
 
+def test_stages_that_do_not_agree_do_not_hide_one_that_does(area):
+    """The next stage still looks like a building that later changed past recognition."""
+    source, target = area.canvas(SECOND), area.canvas(FIRST)
+    truth = area.truth(SECOND, FIRST)
+    best = canvas_score(source, target, truth)
+    poses = area.part(FIRST)
+    for stage, (yaw, x, y) in ((3, (1.0, 0, 0)), (4, (2.0, 0.5, -0.5))):
+        changed = {
+            FragmentId(id_.area, stage, id_.spot): from_yaw(yaw, (x, y, 0)) @ pose
+            for id_, pose in poses.items()
+        }
+        seen = {id_: area.prepared[FragmentId(id_.area, 1, id_.spot)] for id_ in changed}
+        target = target.extended(changed, seen)
+        assert canvas_score(source, target, truth) > best - 0.5
+
+
 def test_canvases_that_do_not_touch_say_nothing(area):
     source, target = area.canvas(SECOND), area.canvas(FIRST)
     assert canvas_score(source, target, from_yaw(0.3, (40, 0, 0))) == 0

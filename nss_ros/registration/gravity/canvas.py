@@ -170,17 +170,35 @@ def _add(layer: Layer, fragment: Mapped, pose: Transform, centre: NDArray[np.flo
 def canvas_score(source: Canvas, target: Canvas, T_target_source: Transform) -> float:
     """Logarithm of the probability density of a pose, up to a constant.
 
-    What both saw in one stage is compared as fragments of one stage are. Faster when the source
-    is the smaller one.
+    What both saw in one stage is compared as fragments of one stage are. Of what they saw in
+    different stages counts the mean, or those two stages that agree most: where a building changed
+    much, only its next stage still looks like it. Faster when the source is the smaller one.
     """
     with torch.inference_mode():
         place = _Place.of(source, target, T_target_source)
-        score = place.product(source.features, target.features)
+        size = source.size
+        score = _product(source.features, place.there(target.features, size))
+        if len(source.layers) * len(target.layers) > 1:
+            score = max(score, _best_of_stages(source, target, place))
         for stage in sorted(source.layers.keys() & target.layers.keys()):
             one, other = source.layers[stage], target.layers[stage]
-            score += place.product(_agreeing(one.mean_within()), _agreeing(other.mean_within()))
-            score -= place.product(_agreeing(one.mean_across()), _agreeing(other.mean_across()))
+            for features, sign in ((Layer.mean_within, 1), (Layer.mean_across, -1)):
+                there = place.there(_agreeing(features(other)), size)
+                score += sign * _product(_agreeing(features(one)), there)
         return score
+
+
+def _best_of_stages(source: Canvas, target: Canvas, place: _Place) -> float:
+    """The largest score of two different stages, one of each canvas."""
+    scores = [-math.inf]
+    for stage, layer in target.layers.items():
+        there = place.there(layer.mean_across(), source.size)
+        scores += [
+            _product(own.mean_across(), there)
+            for other, own in source.layers.items()
+            if other != stage
+        ]
+    return max(scores)
 
 
 def _agreeing(features: Tensor) -> Tensor:
@@ -211,10 +229,14 @@ class _Place:
         yaw = torch.tensor([math.atan2(back[1, 0], back[0, 0])], dtype=torch.float32)
         return cls(yaw, torch.from_numpy(shift[None]).float())
 
-    def product(self, moving: Tensor, still: Tensor) -> float:
-        """Sum of the products of source features and target features, both as sources."""
-        there = rotated(still, self.yaw, self.shift, moving.shape[-1])[0]
-        return float((moving * as_target(there)).sum())
+    def there(self, still: Tensor, size: int) -> Tensor:
+        """Features of the target, as a source, where they are on a source of so many cells."""
+        return rotated(still, self.yaw, self.shift, size)[0]
+
+
+def _product(moving: Tensor, there: Tensor) -> float:
+    """Sum of the products of source features and target features, both as sources."""
+    return float((moving * as_target(there)).sum())
 
 
 def canvas_search(source: Canvas, target: Canvas, count: int) -> list[Transform]:
