@@ -36,6 +36,9 @@ Message = Any
 _FLOAT_TYPES = {7: "f4", 8: "f8"}
 _XYZ = ("x", "y", "z")
 
+#: Of nss_msgs/FragmentPose: placed, and doubtful; the other statuses are those of `NodeStatus`.
+STATUS_DOUBTFUL = 3
+
 
 @dataclass(frozen=True, slots=True)
 class MessageFamily:
@@ -298,10 +301,15 @@ def fragment_pose_message(node: Node, family: MessageFamily) -> Message:
         area=node.id.area,
         stage=node.id.stage,
         spot=node.id.spot,
-        status=int(node.status),
+        status=_status(node),
         component=node.component,
         pose=pose_message(node.T_map_fragment, node.covariance, family),
     )
+
+
+def _status(node: Node) -> int:
+    doubtful = node.doubtful and node.status is NodeStatus.PLACED
+    return STATUS_DOUBTFUL if doubtful else int(node.status)
 
 
 def fragment_poses_message(
@@ -386,12 +394,14 @@ def _edge_message(edge: Edge, family: MessageFamily) -> Message:
 
 def _node_from(message: Message) -> Node:
     transform, covariance = pose_from(message.pose)
+    doubtful = message.status == STATUS_DOUBTFUL
     return Node(
         id=FragmentId.parse(message.id),
         T_map_fragment=transform,
-        status=_enum(NodeStatus, message.status),
+        status=NodeStatus.PLACED if doubtful else _enum(NodeStatus, message.status),
         component=int(message.component),
         covariance=covariance,
+        doubtful=doubtful,
     )
 
 

@@ -30,7 +30,12 @@ _CLASSES = {
     "rviz_default_plugins/PointCloud2": "sensor_msgs/msg/PointCloud2",
     "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",
 }
-_MARKERS = {*(f"stage_{stage}" for stage in _STAGES), "accepted_edges", "rejected_edges"}
+_MARKERS = {
+    *(f"stage_{stage}" for stage in _STAGES),
+    "accepted_edges",
+    "rejected_edges",
+    "doubtful",
+}
 
 
 def panels(kind):

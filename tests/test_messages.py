@@ -108,6 +108,19 @@ def test_pose_graph_round_trip(family):
     assert again.nodes[0].component == 2
 
 
+def test_a_doubtful_place_is_a_status_of_its_own(family):
+    graph = PoseGraph((
+        Node(A, exponential([1, 0, 0, 0, 0, 1]), NodeStatus.PLACED, doubtful=True),
+        Node(B, status=NodeStatus.UNPLACED, doubtful=True),
+    ))  # fmt: skip
+    message = pose_graph_message(graph, "map", 3, family)
+    assert [node.status for node in message.nodes] == [message.nodes[0].STATUS_DOUBTFUL, 0]
+    again = pose_graph_from(message)
+    assert again.nodes[0].status is NodeStatus.PLACED
+    assert again.doubtful() == [A]
+    np.testing.assert_allclose(again.nodes[0].T_map_fragment, graph.nodes[0].T_map_fragment)
+
+
 @pytest.mark.parametrize("kind", EdgeKind)
 def test_every_kind_of_edge_survives_and_has_the_number_of_the_message(family, kind):
     graph = PoseGraph((Node(A), Node(B)), (Edge(FragmentPair(B, A), np.eye(4), kind),))

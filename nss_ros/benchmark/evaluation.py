@@ -188,6 +188,7 @@ class Evaluation:
         edges: ground-truth edges.
         placements: fragments in the map; None if a log holds no map.
         answers: what was reported.
+        doubtful: fragments of which the map says that their place is doubtful.
     """
 
     log: str
@@ -205,6 +206,7 @@ class Evaluation:
     edges: Edges
     placements: Placements | None
     answers: Answers
+    doubtful: tuple[FragmentId, ...]
 
 
 def evaluate(log: Log) -> Evaluation:
@@ -245,6 +247,7 @@ def evaluate(log: Log) -> Evaluation:
         edges=_edges(log, graphs, mains, clouds),
         placements=_placements(log.pose_graph, graphs, mains, clouds) if log.pose_graph else None,
         answers=_answers(log, graphs),
+        doubtful=tuple(log.pose_graph.doubtful()) if log.pose_graph else (),
     )
 
 
@@ -274,6 +277,7 @@ def joined(evaluations: Sequence[Evaluation]) -> Evaluation:
         edges=_stacked([each.edges for each in evaluations], offsets),
         placements=_stacked(placements, offsets) if len(placements) == len(evaluations) else None,
         answers=_stacked([each.answers for each in evaluations], offsets),
+        doubtful=tuple(id_ for each in evaluations for id_ in each.doubtful),
     )
 
 

@@ -194,6 +194,13 @@ def graph_chart(graph: PoseGraph, view: MapView, links: Mapping[FragmentPair, st
                 alpha=alpha,
             )
         )
+    if doubtful := [id_ for id_ in graph.doubtful() if id_ in view.spots]:
+        places = np.array([view.spots[id_] for id_ in doubtful])
+        name = f"place doubtful ({len(doubtful):,})"
+        # Around the spots, which are drawn over it.
+        series.append(
+            Series(name, places[:, 0], places[:, 1], REJECTED, Mark.POINTS, size=14, hollow=True)
+        )
     series += [_spots(view, stage) for stage in view.stages]
     panel = Panel(Axis("x (m)"), Axis("y (m)"), tuple(series), equal=True)
     return Chart(

@@ -11,6 +11,7 @@ from nss_ros.benchmark.evaluation import Evaluation, evaluate
 from nss_ros.benchmark.run_timing import RunTiming, timing_of
 from nss_ros.benchmark.score import LogScore, summarize
 from nss_ros.benchmark.table import notes
+from nss_ros.multiway.pose_graph import doubtful_sentence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,4 +89,6 @@ def _unscored(log: Log, truth: bool) -> list[str]:
         result.append("The log holds no answers to pairs.")
     if log.pose_graph is None:
         result.append("The log holds no map.")
+    elif doubtful := log.pose_graph.doubtful():
+        result.append(doubtful_sentence(list(map(str, doubtful))))
     return result

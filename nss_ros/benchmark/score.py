@@ -225,6 +225,7 @@ class LogScore:
         calibration: of the confidence.
         displacements: of stages against each other; empty if the log holds no map.
         headline: headline figures by name, with bootstrap intervals; see `headline`.
+        doubtful: ids of fragments of which the map says that their place is doubtful.
     """
 
     log: str
@@ -248,6 +249,7 @@ class LogScore:
     calibration: CalibrationScore
     displacements: tuple[StageDisplacement, ...]
     headline: dict[str, Headline]
+    doubtful: tuple[str, ...]
 
 
 def score_log(log: Log, bootstrap: Bootstrap | None = None) -> LogScore:
@@ -304,6 +306,7 @@ def summarize(evaluation: Evaluation, bootstrap: Bootstrap | None = None) -> Log
         calibration=_calibration_score(evaluation.answers),
         displacements=stage_displacements(placements) if placements is not None else (),
         headline=headline(evaluation, bootstrap),
+        doubtful=tuple(map(str, evaluation.doubtful)),
     )
 
 

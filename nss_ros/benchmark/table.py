@@ -11,6 +11,7 @@ from nss_ros.benchmark.challenge import SUBSETS, ChallengeMetrics, ChallengeScor
 from nss_ros.benchmark.headline import KINDS
 from nss_ros.benchmark.published import PublishedRecall, published
 from nss_ros.benchmark.score import BinScore, GraphScore, LogScore, MapScore, Subsets
+from nss_ros.multiway.pose_graph import doubtful_sentence
 from nss_ros.table import Align, Cell, Column, Table
 
 OFFICIAL_NAMES = {
@@ -89,6 +90,8 @@ def notes(score: LogScore) -> list[str]:
     if score.overall.multiway is None:
         result.append("The log holds no map, so there are no multi-way figures.")
     result += [sentence for graph in score.graphs if (sentence := _in_parts(graph))]
+    if score.doubtful:
+        result.append(doubtful_sentence(score.doubtful))
     return result
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from nss_ros.cli.output import print_json
 from nss_ros.config import load_config
 from nss_ros.errors import InputError
+from nss_ros.multiway.pose_graph import doubtful_sentence
 
 if TYPE_CHECKING:
     from nss_ros.nodes.monitor import Progress as RunProgress
@@ -96,6 +97,7 @@ def map_(
                 "pairs_failed": progress.pairs_failed,
                 "placed": progress.placed,
                 "components": progress.components,
+                "doubtful": progress.doubtful,
                 "rms_residual": progress.rms_residual,
                 "warnings": progress.warnings,
             }
@@ -108,7 +110,7 @@ def map_(
         f"Placed {progress.placed} of {progress.fragments_total} fragments in the largest of "
         f"{progress.components} component(s), RMS residual {_metres(progress.rms_residual)}; "
         f"{progress.pairs_total} pairs, {progress.pairs_failed} without an answer that holds; "
-        f"{seconds:.0f} s.\nLog: {output}",
+        f"{seconds:.0f} s.{_doubts(progress.doubtful)}\nLog: {output}",
         highlight=False,
         soft_wrap=True,
     )
@@ -151,6 +153,10 @@ class ProgressDisplay:
         self._display.update(
             self._placed, completed=run.placed, total=run.fragments_total, note=note
         )
+
+
+def _doubts(ids: Sequence[str]) -> str:
+    return f"\n{doubtful_sentence(ids)}" if ids else ""
 
 
 def _metres(value: float) -> str:

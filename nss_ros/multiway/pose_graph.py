@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -9,6 +10,9 @@ import numpy as np
 
 from nss_ros.fragment import FragmentId, FragmentPair
 from nss_ros.geometry import Matrix, Transform
+
+# Ids that a sentence tells.
+_MOST_TOLD = 12
 
 
 class EdgeKind(IntEnum):
@@ -98,6 +102,7 @@ class Node:
         status: placed or not.
         component: connected component, 0 is the largest.
         covariance: (6, 6) of the pose relative to the component's anchor; zero when not computed.
+        doubtful: placed by so little that was seen that the place may be a wrong one.
     """
 
     id: FragmentId
@@ -105,6 +110,7 @@ class Node:
     status: NodeStatus = NodeStatus.UNPLACED
     component: int = 0
     covariance: Matrix = field(default_factory=lambda: np.zeros((6, 6)))
+    doubtful: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +167,10 @@ class PoseGraph:
         """The placed nodes by fragment id."""
         return {node.id: node for node in self.nodes if node.status is NodeStatus.PLACED}
 
+    def doubtful(self) -> list[FragmentId]:
+        """The placed fragments whose place is doubtful, in the order of the nodes."""
+        return [id_ for id_, node in self.poses().items() if node.doubtful]
+
     def rms_residual(self) -> float:
         """Root mean square of the accepted edges' translation residuals, metres; NaN without."""
         residuals = [
@@ -169,3 +179,10 @@ class PoseGraph:
             if edge.status is EdgeStatus.ACCEPTED and np.isfinite(edge.residual_translation)
         ]
         return float(np.sqrt(np.mean(np.square(residuals)))) if residuals else float("nan")
+
+
+def doubtful_sentence(ids: Sequence[str]) -> str:
+    """What people are told of fragments whose place is doubtful; `ids` are one or more."""
+    shown = ", ".join(ids[:_MOST_TOLD])
+    more = f" and {len(ids) - _MOST_TOLD} more" if len(ids) > _MOST_TOLD else ""
+    return f"Placed by little that was seen, so perhaps wrongly: {shown}{more}."

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from heapq import heappop, heappush
 from itertools import combinations
 
@@ -61,13 +61,26 @@ _SURE = 6.0
 _UNMEASURED = 500.0
 
 
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """Submaps after all that is sure has been joined.
+
+    Attributes:
+        parts: poses of the fragments of each, in a frame of its own; largest first.
+        doubtful: fragments that are where they are by little.
+    """
+
+    parts: list[Poses]
+    doubtful: frozenset[FragmentId]
+
+
 def joined_submaps(
     fragments: Iterable[FragmentId],
     measurements: Sequence[Measurement],
     prepared: Fragments,
     choi: Choi,
-) -> list[Poses]:
-    """Submaps, largest first, each with poses in a frame of its own.
+) -> Joined:
+    """Submaps joined to larger ones while there is something that speaks for it.
 
     Args:
         fragments: all of them.
@@ -78,7 +91,7 @@ def joined_submaps(
     joining = Joining(fragments, measurements, prepared, choi)
     for _ in joining:
         pass
-    return joining.parts()
+    return Joined(joining.parts(), frozenset(joining.doubtful))
 
 
 class Joining:
@@ -108,6 +121,7 @@ class Joining:
 
         parts = _straight_parts(list(fragments), within, choi, loss)
         self._prepared, self._close = prepared, choi.close
+        self.doubtful: set[FragmentId] = set()
         self._asked = {frozenset((m.pair.source, m.pair.target)) for m in measurements}
         self.submaps = {n: Submap.of(_levelled(part), prepared) for n, part in enumerate(parts)}
         self._pairs: dict[int, dict[int, list[Ambiguous]]] = {n: {} for n in self.submaps}
@@ -153,6 +167,8 @@ class Joining:
         for link, one, other in sorted(links, key=lambda each: (-each[0].odds, *each[1:])):
             if one in self.submaps and other in self.submaps:
                 yield link.odds, self.submaps[one], self.submaps[other], link
+                small = min((self.submaps[each].poses for each in (one, other)), key=len)
+                self.doubtful.update(small)
                 self._join(one, other, link)
 
     def _is_doubtful(self, odds: float, one: int, other: int) -> bool:

@@ -7,7 +7,7 @@ relative transforms are found that no pair gave. The line process of `choi` then
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -75,6 +75,7 @@ class Submaps:
             graph = self._choi.synchronize(
                 fragments, kept.measurements, rejected=kept.rejected, parts=kept.parts
             )
+            graph = _doubted(graph, known.doubtful())
         return replace(graph, synchronizer=self.name)
 
     def synchronize_points(
@@ -96,9 +97,9 @@ class Submaps:
         prepared = {id_: prepared[id_] for id_ in ids}
         inside = [m for m in measurements if _both(m, prepared)]
         outside = [m for m in measurements if not _both(m, prepared)]
-        parts = joined_submaps(ids, inside, prepared, self._choi)
+        joined = joined_submaps(ids, inside, prepared, self._choi)
         held = {end for m in inside if m.manual for end in (m.pair.source, m.pair.target)}
-        parts = [settled(part, prepared, held) for part in parts]
+        parts = [settled(part, prepared, held) for part in joined.parts]
         fitting, rejected = _judged(inside, parts)
         kept = decided(fitting, prepared, self._registration)
         found = [
@@ -115,7 +116,14 @@ class Submaps:
             None if outside else start,
             rejected,
         )
-        return replace(graph_of_fragments(graph, places), synchronizer=self.name)
+        graph = _doubted(graph_of_fragments(graph, places), joined.doubtful)
+        return replace(graph, synchronizer=self.name)
+
+
+def _doubted(graph: PoseGraph, doubtful: Collection[FragmentId]) -> PoseGraph:
+    """The graph, whose nodes tell that their places are doubtful."""
+    nodes = tuple(replace(node, doubtful=node.id in doubtful) for node in graph.nodes)
+    return replace(graph, nodes=nodes)
 
 
 def _both(m: Measurement, prepared: Mapping[FragmentId, SubmapFragment]) -> bool:

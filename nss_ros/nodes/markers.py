@@ -1,4 +1,4 @@
-"""The pose graph as RViz markers: fragments by stage, accepted and rejected edges."""
+"""The pose graph as RViz markers: fragments by stage, doubtful ones, and edges by status."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from nss_ros.multiway.pose_graph import EdgeStatus, Node, NodeStatus, PoseGraph
 
 _ACCEPTED = ColorRGBA(**dict(zip("rgb", ACCEPTED, strict=True)), a=0.8)
 _REJECTED = ColorRGBA(**dict(zip("rgb", REJECTED, strict=True)), a=0.4)
+_DOUBTFUL = ColorRGBA(**dict(zip("rgb", REJECTED, strict=True)), a=0.5)
 _NODE_SIZE = 0.25
 _LINE_WIDTH = 0.03
 
@@ -32,6 +33,12 @@ def graph_markers(graph: PoseGraph, frame_id: str, component: int = 0) -> Marker
         red, green, blue = stage_color(stage)
         marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
         marker.points = [_position(node) for node in nodes]
+        markers.append(marker)
+    doubtful = [node for node in placed.values() if node.doubtful]
+    if doubtful:
+        marker = _marker(frame_id, "doubtful", Marker.SPHERE_LIST, 2 * _NODE_SIZE)
+        marker.color = _DOUBTFUL
+        marker.points = [_position(node) for node in doubtful]
         markers.append(marker)
     for name, status, color in (
         ("accepted_edges", EdgeStatus.ACCEPTED, _ACCEPTED),

@@ -32,6 +32,7 @@ class Progress:
         nodes: fragments that the pose graph knows.
         placed: of these, placed in the largest component.
         components: of the placed fragments.
+        doubtful: ids of placed fragments whose place is doubtful.
         rms_residual: metres; NaN without accepted edges.
         settled: the pose graph includes everything it received.
         decided: every registration node has received all fragments and will propose no more pairs.
@@ -48,6 +49,7 @@ class Progress:
     nodes: int = 0
     placed: int = 0
     components: int = 0
+    doubtful: list[str] = field(default_factory=list)
     rms_residual: float = math.nan
     settled: bool = False
     graph_answered: int = 0
@@ -161,9 +163,12 @@ class Monitor:
             self.progress.pairs_answered = len(self._answered)
 
     def _on_pose_graph(self, message: PoseGraphMessage) -> None:
-        placed = [node for node in message.nodes if node.status == FragmentPose.STATUS_PLACED]
+        doubtful = FragmentPose.STATUS_DOUBTFUL
+        statuses = (FragmentPose.STATUS_PLACED, doubtful)
+        placed = [node for node in message.nodes if node.status in statuses]
         self.progress.nodes = len(message.nodes)
         self.progress.placed = sum(node.component == 0 for node in placed)
+        self.progress.doubtful = [node.id for node in placed if node.status == doubtful]
         self.progress.components = len({node.component for node in placed})
         self.progress.rms_residual = message.rms_residual
         self.progress.settled = message.settled

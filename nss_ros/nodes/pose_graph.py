@@ -43,7 +43,7 @@ from nss_ros.messages import (
 )
 from nss_ros.multiway.map_file import load_map, save_map
 from nss_ros.multiway.multi_stage_map import MultiStageMap
-from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph
+from nss_ros.multiway.pose_graph import NodeStatus, PoseGraph, doubtful_sentence
 from nss_ros.multiway.solver import Problem, Solver
 from nss_ros.multiway.synchronizer import PointSynchronizer, load_synchronizer
 from nss_ros.nodes.diagnostics import Health, publish_diagnostics
@@ -329,9 +329,11 @@ class PoseGraphNode(Node):
             answered = sum(pair in self._map.results for pair in self._map.pairs)
             pairs = len(self._map.pairs)
         placed = sum(node.status is NodeStatus.PLACED for node in self._graph.nodes)
+        doubtful = self._graph.doubtful()
+        doubts = f" {doubtful_sentence(list(map(str, doubtful)))}" if doubtful else ""
         self.get_logger().info(
             f"Settled: {placed} of {len(self._graph.nodes)} fragments placed, "
-            f"{answered} of {pairs} pairs answered."
+            f"{answered} of {pairs} pairs answered.{doubts}"
         )
 
     def _quiet(self) -> bool:

@@ -4,6 +4,7 @@
     fragments/stage_<n>/<id>    a fragment at its pose
     graph/stage_<n>             where the fragments stood, with their ids
     graph/path/stage_<n>        the way from spot to spot
+    graph/doubtful              around those that are perhaps in a wrong place
     graph/accepted, rejected    edges of the pose graph
     graph/confidence            all answered pairs between placed fragments, by confidence
     answers/<figure>            confidence, seconds, RMSE and inlier ratio of each answer
@@ -157,6 +158,7 @@ class Scene:
             by_stage.setdefault(id_.stage, []).append(placed[id_])
         for stage, nodes in by_stage.items():
             self._draw_nodes(root, stage, nodes)
+        self._draw_doubtful(f"{root}graph/doubtful", [n for n in placed.values() if n.doubtful])
         for name, status, color in (
             ("accepted", EdgeStatus.ACCEPTED, ACCEPTED),
             ("rejected", EdgeStatus.REJECTED, REJECTED),
@@ -196,6 +198,17 @@ class Scene:
         )
         path = self._rerun.LineStrips3D([positions], colors=color, radii=_EDGE_RADIUS)
         self._log(way, path)
+
+    def _draw_doubtful(self, path: str, nodes: Sequence[Node]) -> None:
+        positions = np.array([node.T_map_fragment[:3, 3] for node in nodes]).reshape(-1, 3)
+        around = self._rerun.Points3D(
+            positions,
+            colors=_octets(REJECTED),
+            radii=2 * _NODE_RADIUS,
+            labels=[f"{node.id}: doubtful" for node in nodes],
+            show_labels=False,
+        )
+        self._log(path, around)
 
     def _draw_lines(
         self,

@@ -297,6 +297,16 @@ def test_of_many_views_each_areas_largest_are_kept_first(make_run):
     assert most_important(views, 9) == views
 
 
+def test_the_graph_chart_rings_doubtful_places(make_run):
+    log = make_run()
+    first, *others = log.pose_graph.nodes
+    graph = replace(log.pose_graph, nodes=(replace(first, doubtful=True), *others))
+    (view,) = map_views(replace(log, pose_graph=graph))
+    (ring,) = (s for s in graph_chart(graph, view, {}).panels[0].series if s.hollow)
+    assert ring.name == "place doubtful (1)"
+    assert (ring.x[0], ring.y[0]) == tuple(view.spots[first.id][:2])
+
+
 def test_the_graph_chart_has_stages_and_edges_that_lead_to_their_pairs(make_run):
     log = make_run()
     edges = list(log.pose_graph.edges)

@@ -15,6 +15,7 @@ from nss_ros.benchmark.table import (
     run_tables,
     training_table,
 )
+from nss_ros.multiway.pose_graph import doubtful_sentence
 
 NONE = Bootstrap(0)
 
@@ -142,6 +143,18 @@ def test_tables_of_all_kinds_of_logs_render(make_score):
         "pairwise", "overlap_bins", "change_bins", "overlap", "calibration", "paper",
         "reliability", "intervals",
     }  # fmt: skip
+
+
+def test_doubtful_places_are_told(make_run):
+    log = make_run()
+    nodes = tuple(replace(n, doubtful=i in (1, 4)) for i, n in enumerate(log.pose_graph.nodes))
+    score = score_log(replace(log, pose_graph=replace(log.pose_graph, nodes=nodes)), NONE)
+    ids = [str(nodes[i].id) for i in (1, 4)]
+    assert list(score.doubtful) == ids
+    assert notes(score) == [
+        f"Placed by little that was seen, so perhaps wrongly: {', '.join(ids)}."
+    ]
+    assert doubtful_sentence([f"f{n}" for n in range(14)]).endswith("f10, f11 and 2 more.")
 
 
 def test_what_is_missing_is_told(make_score, make_run):

@@ -120,6 +120,21 @@ def test_what_changes_is_drawn_again(room, tmp_path):
     assert column(content, "/answers/rmse", "answer") == [0, 2]
 
 
+def test_doubtful_places_are_marked(room, tmp_path):
+    first, *others = room.ground_truth.nodes
+    doubted = replace(room.ground_truth, nodes=(replace(first, doubtful=True), *others))
+    file = tmp_path / "run.rrd"
+    with recording("test", file) as stream:
+        scene = Scene(stream, changing=True)
+        for graph in (doubted, room.ground_truth):
+            scene.draw_graph(graph, {})
+    content = read(file)
+    labels = column(content, "/graph/doubtful", "Points3D:labels")
+    assert list(labels[0]) == [f"{first.id}: doubtful"]
+    around = column(content, "/graph/doubtful", "positions")
+    assert [len(each) for each in around] == [1, 0]
+
+
 def test_components_that_nothing_links_have_a_view_each(room, tmp_path):
     """Two components, then the third fragment goes over to the other; then all are one."""
     graph = room.ground_truth

@@ -132,5 +132,5 @@ def test_people_about_each_scanner_do_not_keep_a_stage_apart(building, ids):
     assert loss_of_parts(one, other, truth, prepared) > 4
     assert loss_of_parts(one, other, truth, prepared, noise) < 0.5
     choi = Choi(MultiwayConfig())
-    (part,) = joined_submaps(ids, [building.right(p) for p in pairs], prepared, choi)
+    (part,) = joined_submaps(ids, [building.right(p) for p in pairs], prepared, choi).parts
     assert building.worst(part)[0] < 0.1

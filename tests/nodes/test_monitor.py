@@ -63,6 +63,13 @@ def test_a_run_waits_for_every_registration_node_and_for_what_it_proposes(say):
     assert say(pose_graph(answered=3)).complete
 
 
+def test_fragments_of_doubtful_place_are_placed_and_told(say):
+    statuses = (FragmentPose.STATUS_PLACED, FragmentPose.STATUS_DOUBTFUL, 0)
+    nodes = [FragmentPose(id=str(number), status=each) for number, each in enumerate(statuses)]
+    progress = say(PoseGraph(nodes=nodes))
+    assert (progress.placed, progress.components, progress.doubtful) == (2, 1, ["1"])
+
+
 def test_diagnostics_of_others_are_not_taken_for_a_registration_node(say):
     say(PlaybackStatus(state=PlaybackStatus.STATE_FINISHED, fragments_total=FRAGMENTS))
     say(pose_graph(answered=0))

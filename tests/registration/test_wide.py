@@ -200,11 +200,11 @@ def test_within_a_stage_a_place_that_cannot_be_is_not_taken_however_sure_a_pair_
         level=True,
         alternatives=(Alternative(truth, np.eye(6), 0.05),),
     )
-    (part,) = joined_submaps([ONE, OTHER], [sure], prepared, Choi(config))
+    (part,) = joined_submaps([ONE, OTHER], [sure], prepared, Choi(config)).parts
     assert np.linalg.norm((relative(part[ONE], part[OTHER]) - truth)[:3, 3]) < 0.1
     # But a person is right.
     manual = replace(sure, manual=True)
-    (part,) = joined_submaps([ONE, OTHER], [manual], prepared, Choi(config))
+    (part,) = joined_submaps([ONE, OTHER], [manual], prepared, Choi(config)).parts
     assert np.linalg.norm((relative(part[ONE], part[OTHER]) - beside)[:3, 3]) < 0.1
 
 
