@@ -55,8 +55,9 @@ _PROBABLE = 0.8
 # Those above this tell whether tripods stand apart: wrong poses lie on each other by chance.
 _SURE_ALONE = 0.95
 # Logarithm of the odds from which it counts more how large the submaps of a link are than how sure
-# it is.
-_SURE = 6.0
+# it is; of two large ones sooner, for single fragments that are not sure would only speak against
+# them.
+_SURE, _SURE_OF_LARGE = 6.0, 3.0
 # What a link is thought to have until it is measured: more than any, so that the largest are first.
 _UNMEASURED = 500.0
 
@@ -222,9 +223,9 @@ class Joining:
         A small submap fits in several like rooms of another, and better in the right one of a
         submap that has all of them.
         """
-        if not _SURE < odds < np.inf:
-            return odds
         sizes = [len(self.submaps[each].poses) for each in (one, other)]
+        if not (_SURE_OF_LARGE if min(sizes) >= _SMALL else _SURE) < odds < np.inf:
+            return odds
         return _SURE + sum(sizes) + odds * 1e-3
 
     def _measure(self, one: int, other: int) -> None:
