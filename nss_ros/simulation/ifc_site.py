@@ -33,6 +33,7 @@ from nss_ros.simulation.ifc_tessellation import (
     file_hash,
     import_ifcopenshell,
     is_cut_short,
+    older_schema,
     open_ifc,
     tessellate,
 )
@@ -203,6 +204,8 @@ def _load(
     skipped: list[str] = []
     for path in paths:
         model = open_ifc(path)
+        if older := older_schema(path):
+            skipped.append(f"{path.name} is of the older schema {older}; it is read as IFC2X3.")
         if is_cut_short(path):
             skipped.append(f"{path.name} is cut short: what follows is missing.")
         entities = _entities(model)

@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import os
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,9 @@ Report = Callable[[str, int, int], None]
 
 _THREADS = 2
 _LAYOUT = 1  # of the cache files
+# IFC 2x of 2000 and 2x2 of 2003; the header of a file is at its beginning.
+_OLDER_SCHEMA = re.compile(rb"FILE_SCHEMA\s*\(\s*\(\s*'(IFC2X2?(?:_\w+)?)'", re.IGNORECASE)
+_HEADER = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +95,7 @@ def import_ifcopenshell() -> Any:
 
 
 def open_ifc(path: Path) -> Any:
-    """An IFC file as ifcopenshell's model.
+    """An IFC file as ifcopenshell's model; one of an older schema as if it were IFC2X3.
 
     Raises:
         InputError: the file is not there, or ifcopenshell is not installed.
@@ -101,12 +105,26 @@ def open_ifc(path: Path) -> Any:
     if not path.is_file():
         raise InputError(f"There is no IFC file {path}.")
     try:
-        model = ifcopenshell.open(str(path))
+        if older := older_schema(path):
+            text = path.read_text(encoding="latin-1").replace(older, "IFC2X3", 1)
+            model = ifcopenshell.file.from_string(text)
+        else:
+            model = ifcopenshell.open(str(path))
         model.by_type("IfcProduct")
     except Exception as error:  # the parser's errors have no common class
         reason = " ".join(str(error).split())
-        raise FormatError(f"{path} cannot be read as an IFC file: {reason}.") from error
+        raise FormatError(
+            f"{path} cannot be read as an IFC file: {reason.rstrip('.')}. Export it anew as "
+            "IFC2X3, IFC4 or IFC4X3."
+        ) from error
     return model
+
+
+def older_schema(path: Path) -> str | None:
+    """The schema of a file that is a little older than IFC2X3, whose elements are the same."""
+    with path.open("rb") as file:
+        found = _OLDER_SCHEMA.search(file.read(_HEADER))
+    return found[1].decode() if found else None
 
 
 def is_cut_short(path: Path) -> bool:

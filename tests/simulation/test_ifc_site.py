@@ -162,6 +162,25 @@ def test_a_plan_stages_a_storey(tmp_path, build, schema):
     assert site.source["skipped"] == []
 
 
+@pytest.mark.parametrize("schema", ["IFC2X_FINAL", "IFC2X2_FINAL"])
+def test_a_file_of_an_older_schema_is_read_and_that_is_told(tmp_path, build, schema):
+    path = tmp_path / "house.ifc"
+    Model("IFC2X3").house().write(path)
+    expected = build(path.name, **STAGED)
+    text = path.read_text()
+    assert "'IFC2X3'" in text
+    path.write_text(text.replace("'IFC2X3'", f"'{schema}'"))
+    site = build(path.name, **STAGED)
+    assert site.source["skipped"] == [
+        f"house.ifc is of the older schema {schema}; it is read as IFC2X3."
+    ]
+    for stage in (1, 2, 3):
+        assert kinds(site, stage) == kinds(expected, stage)
+    path.write_text(text.replace("'IFC2X3'", "'IFC9'"))
+    with pytest.raises(FormatError, match=r"IFC9.* Export it anew as IFC2X3, IFC4 or IFC4X3"):
+        build(path.name, **STAGED)
+
+
 def test_each_storey_is_an_area_if_asked(tmp_path):
     model = Model("IFC2X3").house()
     ground = model.storey
