@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from nss_ros.geometry import (
     rotation_angle,
     transform_points,
 )
-from nss_ros.icp import Surface, refine
+from nss_ros.icp import Surface, moved_by, refine
 from nss_ros.multiway.agglomeration import Ambiguous, Votes
 from nss_ros.multiway.contradictions import loss_of_parts, nearest_pairs
 from nss_ros.multiway.spacing import count_on_same_place
@@ -46,6 +47,10 @@ _ICP_DISTANCE, _ICP_ITERATIONS, _KERNEL, _DAMPING = 0.15, 8, 0.05, 0.005
 _MOST_TRANSLATION, _MOST_ROTATION = 0.6, np.radians(6)
 # Pairs share what they saw with the canvases, so what they say counts half.
 _PAIRS_WEIGHT = 0.5
+# Nearby is so far along each axis, metres. How near to a wall a point must be to count a quarter,
+# how its normal may differ, and what a wall is; what it counts if all of the points do.
+_NEARBY = 0.3
+_FIT_WIDTH, _FACING, _WALL_NORMAL, _FIT_WEIGHT = 0.03, 0.7, 0.5, 100.0
 # Where a building repeats, many pairs are wrong alike: for large submaps, which have many pairs,
 # what these say together has a limit.
 _LARGE, _MOST_BY_PAIRS = 3, 8.0
@@ -194,6 +199,60 @@ def register_submaps(
     score, transform = apart[0]
     odds = np.inf if obeyed else score - float(np.logaddexp.reduce(rivals))
     return SubmapLink(odds, transform)
+
+
+def polished(
+    link: SubmapLink,
+    source: Submap,
+    target: Submap,
+    pairs: Sequence[Ambiguous],
+    close: Closeness,
+    same_place_loss: float = 0.0,
+) -> SubmapLink:
+    """The link where surfaces lie on each other best nearby; one by a person stays as it is.
+
+    The cells of the features are too wide to tell one side of a thin wall from the other, and ICP
+    does not come from there.
+
+    Args:
+        link: of the two submaps.
+        source: one.
+        target: another.
+        pairs: with a fragment in each, may be none.
+        close: when two transforms agree.
+        same_place_loss: of two fragments of one stage, see `loss_on_same_place`.
+    """
+    if not np.isfinite(link.odds):
+        return link
+    if len(source.poses) > len(target.poses):
+        back = SubmapLink(link.odds, inverse(link.T_target_source))
+        back = polished(back, target, source, pairs, close, same_place_loss)
+        return SubmapLink(back.odds, inverse(back.T_target_source))
+    votes = Votes.of(target.poses, source.poses, pairs) if pairs else None
+    score_of = _Scoring(source, target, votes, close, same_place_loss)
+    there = link.T_target_source
+    found = [(score_of(there) + _FIT_WEIGHT * _fit(source, target, there), there)]
+    for shift in product((-_NEARBY, 0.0, _NEARBY), repeat=2):
+        start = there.copy()
+        start[:2, 3] += shift
+        score, transform = _aligned(score_of, start, -np.inf)
+        found.append((score + _FIT_WEIGHT * _fit(source, target, transform), transform))
+    return SubmapLink(link.odds, max(found, key=lambda each: each[0])[1])
+
+
+def _fit(source: Submap, target: Submap, transform: Transform) -> float:
+    """Share of the source's points that lie on a wall of the target, facing the same way."""
+    moved = moved_by(transform, source.moved.points)
+    _, nearest = target.surface.tree.query(moved, distance_upper_bound=_ICP_DISTANCE)
+    found = np.flatnonzero(nearest < len(target.surface.points))
+    normals = target.surface.normals[nearest[found]]
+    turned = np.einsum("nj,ij->ni", source.moved.normals[found], transform[:3, :3])
+    gaps = moved[found] - target.surface.points[nearest[found]]
+    squares = np.einsum("ij,ij->i", gaps, normals) ** 2
+    facing = np.einsum("ij,ij->i", turned, normals) > _FACING
+    walls = facing & (np.abs(normals[:, 2]) < _WALL_NORMAL)
+    weights = (_FIT_WIDTH**2 / (_FIT_WIDTH**2 + squares)) ** 2
+    return float(weights[walls].sum()) / max(len(moved), 1)
 
 
 def _candidates(

@@ -29,6 +29,7 @@ from nss_ros.multiway.submap import (
     Submap,
     SubmapLink,
     conflict_loss,
+    polished,
     register_submaps,
 )
 from nss_ros.multiway.submap_fragment import Fragments
@@ -265,6 +266,14 @@ class Joining:
 
     def _join(self, one: int, other: int, link: SubmapLink) -> None:
         """Make one submap of two, in the frame of the larger one."""
+        link = polished(
+            link,
+            self.submaps[other],
+            self.submaps[one],
+            self._pairs[one][other],
+            self._close,
+            self._same_place_loss,
+        )
         transform = link.T_target_source
         if len(self.submaps[other].poses) > len(self.submaps[one].poses):
             one, other, transform = other, one, inverse(transform)

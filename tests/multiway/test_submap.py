@@ -11,7 +11,7 @@ from nss_ros.geometry import from_yaw, inverse, relative, rotation_angle
 from nss_ros.multiway.agglomeration import Ambiguous
 from nss_ros.multiway.solver import prepared_by
 from nss_ros.multiway.spanning_tree import Closeness
-from nss_ros.multiway.submap import Submap, register_submaps
+from nss_ros.multiway.submap import Submap, SubmapLink, polished, register_submaps
 from nss_ros.multiway.submaps import Submaps
 from nss_ros.registration.gravity.canvas import canvas_score
 
@@ -68,6 +68,24 @@ def test_submaps_of_one_stage_are_registered_without_pairs(building, first):
     link = register_submaps(building.submap(beside), building.submap(first), [], CLOSE)
     assert link.odds > SURE
     assert building.error(link.T_target_source, beside[0], first[0])[0] < 0.3
+
+
+@pytest.mark.parametrize("shift", [(0.25, 0, 0), (0, -0.3, 0), (-0.2, 0.25, 0)])
+@pytest.mark.parametrize("larger", [True, False])
+def test_a_link_that_is_a_little_off_is_polished(building, first, second, shift, larger):
+    """Farther than ICP goes back."""
+    ids = (second, [*first, *building.spots(1, 7)]) if larger else (first, second[:2])
+    source, target = (building.submap(each) for each in ids)
+    truth = building.truth(FragmentPair(ids[0][0], ids[1][0]))
+    off = truth.copy()
+    off[:3, 3] += shift
+    link = polished(SubmapLink(4.2, off), source, target, [], CLOSE)
+    assert link.odds == 4.2
+    distance, angle = building.error(link.T_target_source, ids[0][0], ids[1][0])
+    assert distance < 0.05
+    assert angle < 3  # of the tripods' tilt
+    given = polished(SubmapLink(np.inf, off), source, target, [], CLOSE)
+    assert np.array_equal(given.T_target_source, off)
 
 
 @pytest.mark.parametrize("slid", [(0.6, 0, 0), (0, 0.6, 0)])
