@@ -16,7 +16,8 @@ import numpy as np
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, relative, rotation_angle, transform_points
-from nss_ros.icp import Surface, moved_by, refine
+from nss_ros.icp import Surface, refine
+from nss_ros.multiway.fit import fit
 from nss_ros.multiway.spanning_tree import Poses
 from nss_ros.multiway.submap_fragment import Fragments, farthest
 
@@ -28,7 +29,7 @@ _AROUND, _STEP = 12, 4
 _MOVED_POINTS, _FEW_POINTS = 2000, 600
 _DISTANCE, _KERNEL, _DAMPING = 0.4, 0.2, 0.001
 _ITERATIONS, _FEW_ITERATIONS = 15, 6
-# Points this near lie on what is around; the share of them must grow by so much.
+# Points of walls this near may lie on what is around; the share that does must grow by so much.
 _FITTING, _LEAST_GAIN = 0.1, 0.004
 # Less is left to the optimisation of the pose graph, more is another place.
 _LEAST_MOVE, _MOST_MOVE, _MOST_ROTATION = 0.03, 0.6, np.radians(6)
@@ -176,6 +177,4 @@ def _surface(ids: Sequence[FragmentId], poses: Poses, fragments: Fragments) -> S
 
 def _share(surface: Surface, pose: Transform, target: Surface) -> float:
     """Share of the points that lie on the target."""
-    moved = moved_by(pose, surface.points)
-    distances, _ = target.tree.query(moved, distance_upper_bound=_FITTING)
-    return float(np.isfinite(distances).mean())
+    return fit(surface, target, pose, _FITTING)

@@ -24,9 +24,10 @@ from nss_ros.geometry import (
     rotation_angle,
     transform_points,
 )
-from nss_ros.icp import Surface, moved_by, refine
+from nss_ros.icp import Surface, refine
 from nss_ros.multiway.agglomeration import Ambiguous, Votes
 from nss_ros.multiway.contradictions import loss_of_parts, nearest_pairs
+from nss_ros.multiway.fit import fit
 from nss_ros.multiway.spacing import count_on_same_place
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import Fragments, SubmapFragment
@@ -47,10 +48,8 @@ _ICP_DISTANCE, _ICP_ITERATIONS, _KERNEL, _DAMPING = 0.15, 8, 0.05, 0.005
 _MOST_TRANSLATION, _MOST_ROTATION = 0.6, np.radians(6)
 # Pairs share what they saw with the canvases, so what they say counts half.
 _PAIRS_WEIGHT = 0.5
-# Nearby is so far along each axis, metres. How near to a wall a point must be to count a quarter,
-# how its normal may differ, and what a wall is; what it counts if all of the points do.
-_NEARBY = 0.3
-_FIT_WIDTH, _FACING, _WALL_NORMAL, _FIT_WEIGHT = 0.03, 0.7, 0.5, 100.0
+# Nearby is so far along each axis, metres; what it counts if all of the points fit.
+_NEARBY, _FIT_WEIGHT = 0.3, 100.0
 # Where a building repeats, many pairs are wrong alike: for large submaps, which have many pairs,
 # what these say together has a limit.
 _LARGE, _MOST_BY_PAIRS = 3, 8.0
@@ -241,18 +240,7 @@ def polished(
 
 
 def _fit(source: Submap, target: Submap, transform: Transform) -> float:
-    """Share of the source's points that lie on a wall of the target, facing the same way."""
-    moved = moved_by(transform, source.moved.points)
-    _, nearest = target.surface.tree.query(moved, distance_upper_bound=_ICP_DISTANCE)
-    found = np.flatnonzero(nearest < len(target.surface.points))
-    normals = target.surface.normals[nearest[found]]
-    turned = np.einsum("nj,ij->ni", source.moved.normals[found], transform[:3, :3])
-    gaps = moved[found] - target.surface.points[nearest[found]]
-    squares = np.einsum("ij,ij->i", gaps, normals) ** 2
-    facing = np.einsum("ij,ij->i", turned, normals) > _FACING
-    walls = facing & (np.abs(normals[:, 2]) < _WALL_NORMAL)
-    weights = (_FIT_WIDTH**2 / (_FIT_WIDTH**2 + squares)) ** 2
-    return float(weights[walls].sum()) / max(len(moved), 1)
+    return fit(source.moved, target.surface, transform, _ICP_DISTANCE)
 
 
 def _candidates(
