@@ -56,9 +56,9 @@ _PROBABLE = 0.8
 # Those above this tell whether tripods stand apart: wrong poses lie on each other by chance.
 _SURE_ALONE = 0.95
 # Logarithm of the odds from which it counts more how large the submaps of a link are than how sure
-# it is; of two large ones sooner, for single fragments that are not sure would only speak against
-# them.
-_SURE, _SURE_OF_LARGE = 6.0, 3.0
+# it is. Links of two large ones come first, also those that are only fairly sure: what single
+# fragments add would only speak against them.
+_SURE, _FAIRLY_SURE, _BETWEEN_LARGE = 6.0, 3.0, 1e6
 # What a link is thought to have until it is measured: more than any, so that the largest are first.
 _UNMEASURED = 500.0
 
@@ -219,15 +219,17 @@ class Joining:
         return self._priority(_UNMEASURED, one, other)
 
     def _priority(self, odds: float, one: int, other: int) -> float:
-        """What is joined first: of sure links those of the largest submaps, then the surest.
+        """What is joined first: of sure links those of large submaps, the largest, then the surest.
 
         A small submap fits in several like rooms of another, and better in the right one of a
         submap that has all of them.
         """
         sizes = [len(self.submaps[each].poses) for each in (one, other)]
-        if not (_SURE_OF_LARGE if min(sizes) >= _SMALL else _SURE) < odds < np.inf:
+        large = min(sizes) >= _SMALL
+        if not (_FAIRLY_SURE if large else _SURE) < odds < np.inf:
             return odds
-        return _SURE + sum(sizes) + odds * 1e-3
+        tier = _BETWEEN_LARGE * (1 + (odds > _SURE)) if large else _SURE
+        return tier + sum(sizes) + odds * 1e-3
 
     def _measure(self, one: int, other: int) -> None:
         """The link that moves the second submap to the first."""

@@ -30,9 +30,7 @@ def test_walls_on_each_other_fit_and_floors_do_not_count():
 
 
 def test_a_wall_that_is_centimetres_off_fits_less():
-    shares = [
-        fit(wall(), wall(), from_yaw(0, (x, 0, 0)), 0.15) for x in (0, 0.01, 0.03, 0.1, 0.2)
-    ]
+    shares = [fit(wall(), wall(), from_yaw(0, (x, 0, 0)), 0.15) for x in (0, 0.01, 0.03, 0.1, 0.2)]
     assert shares == sorted(shares, reverse=True)
     assert shares[2] == pytest.approx(0.5 / 4, rel=0.02)
     assert shares[-1] == 0

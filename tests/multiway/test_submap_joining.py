@@ -233,10 +233,13 @@ def test_of_sure_links_those_of_large_submaps_come_first(building, ids, pairs):
     assert joining._priority(3.0, one, other) == 3.0
     assert joining._priority(np.inf, one, other) == np.inf
     assert joining._priority(20.0, one, other) > joining._priority(7.0, one, other)
-    # What single fragments that are not sure add would speak against a link of large submaps.
+    # What single fragments add would speak against a link of large submaps.
     alone = max(joining.submaps) + 1
     joining.submaps[alone] = building.submap(building.spots(3, 4))
-    assert joining._priority(4.0, one, other) > joining._priority(5.9, one, alone) == 5.9
+    order = [(7.0, other), (4.0, other), (20.0, alone), (7.0, alone), (5.9, alone)]
+    ranks = [joining._priority(odds, one, each) for odds, each in order]
+    assert ranks == sorted(ranks, reverse=True)
+    assert ranks[-1] == 5.9
 
 
 def test_two_large_submaps_are_not_joined_by_little(building, ids, pairs):
