@@ -25,7 +25,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import ifcopenshell
 import ifcopenshell.geom
 import numpy as np
 import open3d as o3d
@@ -37,6 +36,7 @@ from nss_ros.bag import write_bag
 from nss_ros.errors import NssError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.multiway.pose_graph import Edge, EdgeKind, Node, NodeStatus, PoseGraph
+from nss_ros.simulation.ifc_tessellation import open_ifc
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -95,7 +95,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
-    elements = elements_of(arguments.model, arguments.floor, arguments.height)
+    try:
+        elements = elements_of(arguments.model, arguments.floor, arguments.height)
+    except NssError as error:
+        sys.exit(f"error: {error}")
     if not elements:
         sys.exit(f"error: {arguments.model} has no elements at {arguments.floor} m; see --floor.")
     sensor = FAR if arguments.scanner else NEAR
@@ -118,7 +121,7 @@ def elements_of(path: Path, floor: float, height: float) -> list[Element]:
     settings = ifcopenshell.geom.settings()
     settings.set("use-world-coords", True)
     found = []
-    model = ifcopenshell.open(str(path))  # its elements do not live longer than it does
+    model = open_ifc(path)  # its elements do not live longer than it does
     for product in model.by_type("IfcProduct"):
         if not product.Representation or any(map(product.is_a, NOT_BUILT)):
             continue
