@@ -101,6 +101,40 @@ def moved_by(transform: Transform, points: Array) -> Array:
     return np.asarray(np.einsum("nj,ij->ni", points, transform[:3, :3]) + transform[:3, 3])
 
 
+def facing(
+    source: Surface,
+    target: Surface,
+    T_target_source: Transform,
+    distance: float,
+    least_cosine: float = _NORMAL_COSINE,
+) -> tuple[Array, Array, Array]:
+    """Points of the source that lie beside a surface of the target which faces the same way.
+
+    Args:
+        source: surface that is moved.
+        target: surface that stays.
+        T_target_source: by which.
+        distance: from the nearest point of the target at most, metres.
+        least_cosine: of the angle between the normals of both.
+
+    Returns:
+        The points (n, 3) where they are then, the normals (n, 3) of the target there, and how far
+        they are in front of it (n,), metres.
+    """
+    moved = moved_by(T_target_source, source.points)
+    _, nearest = target.tree.query(moved, distance_upper_bound=distance)
+    found = np.flatnonzero(nearest < len(target.points))
+    moved, matched = moved[found], nearest[found]
+    normals = target.normals[matched]
+    turned = np.einsum("nj,ij->ni", source.normals[found], T_target_source[:3, :3])
+    cosines = np.einsum("ij,ij->i", turned, normals)
+    if not (source.oriented and target.oriented):
+        cosines = np.abs(cosines)
+    chosen = cosines > least_cosine
+    moved, matched, normals = moved[chosen], matched[chosen], normals[chosen]
+    return moved, normals, np.einsum("ij,ij->i", moved - target.points[matched], normals)
+
+
 def refine(
     source: Surface,
     target: Surface,
@@ -174,18 +208,7 @@ def _linearize(
     distance: float,
     kernel: float | None,
 ) -> tuple[_System, Array]:
-    moved = moved_by(transform, source.points)
-    _, nearest = target.tree.query(moved, distance_upper_bound=distance)
-    found = np.flatnonzero(nearest < len(target.points))
-    moved, matched = moved[found], nearest[found]
-    normals = target.normals[matched]
-    turned = np.einsum("nj,ij->ni", source.normals[found], transform[:3, :3])
-    cosines = np.einsum("ij,ij->i", turned, normals)
-    if not (source.oriented and target.oriented):
-        cosines = np.abs(cosines)
-    facing = cosines > _NORMAL_COSINE
-    moved, matched, normals = moved[facing], matched[facing], normals[facing]
-    residuals = np.einsum("ij,ij->i", moved - target.points[matched], normals)
+    moved, normals, residuals = facing(source, target, transform, distance)
     jacobian = np.hstack((normals, np.cross(moved, normals)))
     if kernel is None:
         weighted, mean_square = jacobian, residuals**2

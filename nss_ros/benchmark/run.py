@@ -90,5 +90,5 @@ def _unscored(log: Log, truth: bool) -> list[str]:
     if log.pose_graph is None:
         result.append("The log holds no map.")
     elif doubtful := log.pose_graph.doubtful():
-        result.append(doubtful_sentence(list(map(str, doubtful))))
+        result.append(doubtful_sentence(doubtful))
     return result

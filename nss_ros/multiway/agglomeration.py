@@ -39,9 +39,10 @@ _MOST_IN_LOOPS = 3
 _MOST_LOOPS = 12
 # Hypotheses between two parts from which the best transform is chosen; all have a vote.
 _MOST_CANDIDATES = 40
-# Between parts of so many fragments each, many pairs are wrong alike where rooms are: what they say
-# together has a limit, logarithm of the odds.
-_LARGE, _MOST_OF_LARGE = 3, 8.0
+#: Fragments of a part that is large. Between two such parts many pairs are wrong alike where rooms
+#: are: what they say together has a limit, logarithm of the odds.
+LARGE = 3
+_MOST_OF_LARGE = 8.0
 
 Array = NDArray[np.float64]
 #: What a transform from the frame of the second part to that of the first loses by what is seen
@@ -284,7 +285,7 @@ def _link(
         scores = scores + gains_of_loops[candidates]
     best = int(np.argmax(scores))
     odds = _odds(scores, agree[:, candidates], best, float(votes.doubts.sum()))
-    if min(len(one), len(other)) >= _LARGE and not votes.given:
+    if min(len(one), len(other)) >= LARGE and not votes.given.size:
         odds = min(odds, _MOST_OF_LARGE)
     return _Link(
         odds,
@@ -365,9 +366,9 @@ class Votes:
         return np.asarray(agree[:, self.given].sum(axis=1))
 
     @property
-    def given(self) -> list[int]:
+    def given(self) -> NDArray[np.intp]:
         """Numbers of the hypotheses that a person gave."""
-        return [int(each) for each in self.starts[self.doubts < _GIVEN]]
+        return self.starts[self.doubts < _GIVEN]
 
 
 def _odds(scores: Array, agree: NDArray[np.bool_], best: int, elsewhere: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nss_ros.geometry import Transform
-from nss_ros.icp import Surface, moved_by
+from nss_ros.icp import Surface, facing
 
 # How near to a wall a point must be to count a quarter, metres; how its normal may differ, cosine;
 # and what a wall is.
@@ -23,14 +23,7 @@ def fit(source: Surface, target: Surface, T_target_source: Transform, distance: 
         T_target_source: (4, 4).
         distance: from the nearest point of the target at most, metres.
     """
-    moved = moved_by(T_target_source, source.points)
-    _, nearest = target.tree.query(moved, distance_upper_bound=distance)
-    found = np.flatnonzero(nearest < len(target.points))
-    normals = target.normals[nearest[found]]
-    turned = np.einsum("nj,ij->ni", source.normals[found], T_target_source[:3, :3])
-    gaps = moved[found] - target.points[nearest[found]]
-    squares = np.einsum("ij,ij->i", gaps, normals) ** 2
-    facing = np.einsum("ij,ij->i", turned, normals) > _FACING
-    walls = facing & (np.abs(normals[:, 2]) < _WALL_NORMAL)
-    weights = (_WIDTH**2 / (_WIDTH**2 + squares)) ** 2
-    return float(weights[walls].sum()) / max(len(moved), 1)
+    _, normals, gaps = facing(source, target, T_target_source, distance, _FACING)
+    walls = np.abs(normals[:, 2]) < _WALL_NORMAL
+    weights = (_WIDTH**2 / (_WIDTH**2 + gaps[walls] ** 2)) ** 2
+    return float(weights.sum()) / max(len(source.points), 1)

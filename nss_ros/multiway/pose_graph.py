@@ -33,7 +33,10 @@ class EdgeStatus(IntEnum):
 
 
 class NodeStatus(IntEnum):
-    """What became of a fragment; the values of nss_msgs/FragmentPose STATUS_*."""
+    """What became of a fragment; the values of nss_msgs/FragmentPose STATUS_*.
+
+    That of the message for a doubtful place is `PLACED` here: see `Node.doubtful`.
+    """
 
     UNPLACED = 0
     PLACED = 1
@@ -181,8 +184,8 @@ class PoseGraph:
         return float(np.sqrt(np.mean(np.square(residuals)))) if residuals else float("nan")
 
 
-def doubtful_sentence(ids: Sequence[str]) -> str:
+def doubtful_sentence(ids: Sequence[FragmentId] | Sequence[str]) -> str:
     """What people are told of fragments whose place is doubtful; `ids` are one or more."""
-    shown = ", ".join(ids[:_MOST_TOLD])
+    shown = ", ".join(map(str, ids[:_MOST_TOLD]))
     more = f" and {len(ids) - _MOST_TOLD} more" if len(ids) > _MOST_TOLD else ""
     return f"Placed by little that was seen, so perhaps wrongly: {shown}{more}."

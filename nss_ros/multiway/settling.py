@@ -176,5 +176,5 @@ def _surface(ids: Sequence[FragmentId], poses: Poses, fragments: Fragments) -> S
 
 
 def _share(surface: Surface, pose: Transform, target: Surface) -> float:
-    """Share of the points that lie on the target."""
+    """Share of the points that lie on walls of the target."""
     return fit(surface, target, pose, _FITTING)

@@ -25,7 +25,7 @@ from nss_ros.geometry import (
     transform_points,
 )
 from nss_ros.icp import Surface, refine
-from nss_ros.multiway.agglomeration import Ambiguous, Votes
+from nss_ros.multiway.agglomeration import LARGE, Ambiguous, Votes
 from nss_ros.multiway.contradictions import loss_of_parts, nearest_pairs
 from nss_ros.multiway.fit import fit
 from nss_ros.multiway.spacing import count_on_same_place
@@ -52,7 +52,7 @@ _PAIRS_WEIGHT = 0.5
 _NEARBY, _FIT_WEIGHT = 0.3, 100.0
 # Where a building repeats, many pairs are wrong alike: for large submaps, which have many pairs,
 # what these say together has a limit.
-_LARGE, _MOST_BY_PAIRS = 3, 8.0
+_MOST_BY_PAIRS = 8.0
 # Score of having nothing in common: many poses are tried, and the best of them scores something.
 _NOTHING = 10.0
 # Within a stage nothing moves: points in what others saw to be empty, more than some by the noise
@@ -319,7 +319,7 @@ class _Scoring:
             return 0.0
         agree = self.votes.agreement(transform[None], self.close)
         gain = float(self.votes.scores(agree)[0] - self.votes.doubts.sum())
-        large = min(len(self.source.poses), len(self.target.poses)) >= _LARGE
+        large = min(len(self.source.poses), len(self.target.poses)) >= LARGE
         return min(_PAIRS_WEIGHT * gain, _MOST_BY_PAIRS if large else np.inf)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, from_up, inverse
-from nss_ros.multiway.agglomeration import Ambiguous, Loss, joined_parts
+from nss_ros.multiway.agglomeration import LARGE, Ambiguous, Loss, joined_parts
 from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.contradictions import are_usual, loss_of_pair, loss_of_parts, noise_of
 from nss_ros.multiway.pose_graph import Alternative, Measurement
@@ -38,8 +38,8 @@ from nss_ros.registration.gravity.agreement import agreement
 # Logarithm of the odds above which the pairs of one stage alone join fragments, and above which
 # submaps are joined.
 _SURE_PAIRS, _LEAST_ODDS = 3.0, 0.0
-# Of two submaps that both are large: joined wrongly, half of a map is. Of 11 such links with less
-# than 7, in five buildings, the three with less than 1 were wrong.
+# Of two submaps that both are large: joined wrongly, half of a map is. Of eight such links with
+# less than 7, of four sites, the three with less than 1 were wrong.
 _LEAST_OF_LARGE = 2.0
 # A fragment that saw little, in the middle of a hall for example, fits some place of a large submap
 # with less than this: of 28 such, in four buildings, 15 were in their place. They come last, and
@@ -50,7 +50,7 @@ _DOUBTFUL = 3.0
 # of them a share is never asked for.
 _UNASKED, _BESIDE, _MOST_ASKED = 6.0, 2.5, 0.9
 # Links of small submaps are measured when no link of a larger one is left.
-_SMALL, _LATER = 3, -1000.0
+_LATER = -1000.0
 # Pairs within a stage that are this probable tell what is noise of what scanners see.
 _PROBABLE = 0.8
 # Those above this tell whether tripods stand apart: wrong poses lie on each other by chance.
@@ -176,16 +176,16 @@ class Joining:
     def _is_doubtful(self, odds: float, one: int, other: int) -> bool:
         """Whether a single fragment fits a large submap, but so little that it may be by chance."""
         small, large = sorted(len(self.submaps[each].poses) for each in (one, other))
-        return small == 1 and large >= _SMALL and _LEAST_ODDS <= odds < _DOUBTFUL
+        return small == 1 and large >= LARGE and _LEAST_ODDS <= odds < _DOUBTFUL
 
     def _is_weak(self, odds: float, one: int, other: int) -> bool:
         """Whether too little speaks for a link of two large submaps."""
         small = min(len(self.submaps[each].poses) for each in (one, other))
-        return small >= _SMALL and odds < _LEAST_OF_LARGE
+        return small >= LARGE and odds < _LEAST_OF_LARGE
 
     def _link_unasked(self) -> None:
         """Links of large submaps of one area between which no pair was asked for."""
-        large = [n for n, submap in sorted(self.submaps.items()) if len(submap.poses) >= _SMALL]
+        large = [n for n, submap in sorted(self.submaps.items()) if len(submap.poses) >= LARGE]
         for one, other in combinations(large, 2):
             areas = [next(iter(self.submaps[each].poses)).area for each in (one, other)]
             if areas[0] == areas[1] and (one, other) not in self._links:
@@ -214,7 +214,7 @@ class Joining:
     def _guess(self, one: int, other: int) -> float:
         """Priority of a link that was not measured: as if it were sure, last if both are small."""
         sizes = [len(self.submaps[each].poses) for each in (one, other)]
-        if max(sizes) < _SMALL:
+        if max(sizes) < LARGE:
             return _LATER + sum(sizes)
         return self._priority(_UNMEASURED, one, other)
 
@@ -225,7 +225,7 @@ class Joining:
         submap that has all of them.
         """
         sizes = [len(self.submaps[each].poses) for each in (one, other)]
-        large = min(sizes) >= _SMALL
+        large = min(sizes) >= LARGE
         if not (_FAIRLY_SURE if large else _SURE) < odds < np.inf:
             return odds
         tier = _BETWEEN_LARGE * (1 + (odds > _SURE)) if large else _SURE

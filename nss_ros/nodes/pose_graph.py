@@ -330,7 +330,7 @@ class PoseGraphNode(Node):
             pairs = len(self._map.pairs)
         placed = sum(node.status is NodeStatus.PLACED for node in self._graph.nodes)
         doubtful = self._graph.doubtful()
-        doubts = f" {doubtful_sentence(list(map(str, doubtful)))}" if doubtful else ""
+        doubts = f" {doubtful_sentence(doubtful)}" if doubtful else ""
         self.get_logger().info(
             f"Settled: {placed} of {len(self._graph.nodes)} fragments placed, "
             f"{answered} of {pairs} pairs answered.{doubts}"
