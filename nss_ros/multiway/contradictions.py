@@ -28,8 +28,9 @@ _LARGEST_NONE, _MOST_LARGEST = 0.008, 8.0
 # them; with one in each scan of the bundled bag it is 0.005, and 95 of 100 true pairs have less
 # than ten times that. So much of it is taken for noise of a pair, and of the largest of many.
 _NOISE, _LARGEST_NOISE = 2.0, 8.0
-# Pairs of fragments that are looked at, those nearest each other, metres.
-_MOST_PAIRS, _FARTHEST = 12, 6.0
+# Pairs of fragments that are looked at, those nearest each other, and how far apart they may be, as
+# a share of how far their maps reach: 6 m for fragments of a Matterport.
+_MOST_PAIRS, _FARTHEST = 12, 6.0 / 4.8
 
 
 def noise_of(
@@ -80,7 +81,7 @@ def loss_of_parts(
     """
     none = _LARGEST_NONE + _LARGEST_NOISE * noise
     found: list[tuple[float, FragmentId, FragmentId]] = []
-    for source, target in nearest_pairs(one, other, transform, _MOST_PAIRS):
+    for source, target in nearest_pairs(one, other, transform, fragments, _MOST_PAIRS):
         scans = fragments[source], fragments[target]
         if are_usual(*scans):
             pose = relative(transform @ other[source], one[target])
@@ -100,7 +101,7 @@ def are_usual(one: SubmapFragment, other: SubmapFragment) -> bool:
 
 
 def nearest_pairs(
-    one: Poses, other: Poses, transform: Transform, count: int
+    one: Poses, other: Poses, transform: Transform, fragments: Fragments, count: int
 ) -> list[tuple[FragmentId, FragmentId]]:
     """Fragments of the other part and of the one, of one stage, that are nearest each other.
 
@@ -108,6 +109,7 @@ def nearest_pairs(
         one: a part.
         other: another.
         transform: from the frame of the other to that of the one.
+        fragments: all of them.
         count: most pairs; fewer where others are too far apart to see much of each other.
     """
     ids, others = list(one), list(other)
@@ -118,4 +120,6 @@ def nearest_pairs(
     distances[np.array([id_.stage for id_ in others])[:, None] != stages] = np.inf
     nearest = np.argsort(distances, axis=None, kind="stable")[:count]
     found = [np.unravel_index(each, distances.shape) for each in nearest]
-    return [(others[i], ids[k]) for i, k in found if distances[i, k] < _FARTHEST]
+    reach = [np.array([fragments[id_].reach for id_ in some]) for some in (others, ids)]
+    near = distances < _FARTHEST * np.maximum(reach[0][:, None], reach[1])
+    return [(others[i], ids[k]) for i, k in found if near[i, k]]

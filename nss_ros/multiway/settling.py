@@ -17,9 +17,9 @@ import numpy as np
 from nss_ros.fragment import FragmentId
 from nss_ros.geometry import Transform, relative, rotation_angle, transform_points
 from nss_ros.icp import Surface, refine
-from nss_ros.multiway.fit import fit
 from nss_ros.multiway.spanning_tree import Poses
 from nss_ros.multiway.submap_fragment import Fragments, farthest
+from nss_ros.registration.fit import fit
 
 _ROUNDS = 3
 # Fragments around one that are looked at, the nearest, and which of their points, each so many:

@@ -27,10 +27,10 @@ from nss_ros.geometry import (
 from nss_ros.icp import Surface, refine
 from nss_ros.multiway.agglomeration import LARGE, Ambiguous, Votes
 from nss_ros.multiway.contradictions import loss_of_parts, nearest_pairs
-from nss_ros.multiway.fit import fit
 from nss_ros.multiway.spacing import count_on_same_place
 from nss_ros.multiway.spanning_tree import Closeness, Poses
 from nss_ros.multiway.submap_fragment import Fragments, SubmapFragment
+from nss_ros.registration.fit import fit
 from nss_ros.registration.gravity.agreement import agreement
 from nss_ros.registration.gravity.canvas import Canvas, canvas_score, canvas_search
 from nss_ros.registration.gravity.wide import evening
@@ -304,7 +304,9 @@ class _Scoring:
 
     def _by_views(self, transform: Transform, contradiction: float, *, wide: bool) -> float:
         """What is lost by what scanners of one stage see of each other."""
-        near = nearest_pairs(self.target.poses, self.source.poses, transform, _MOST_VIEWS)
+        target, source = self.target, self.source
+        scans = {**source.scans, **target.scans}
+        near = nearest_pairs(target.poses, source.poses, transform, scans, _MOST_VIEWS)
         loss = contradiction + conflict_loss(
             _conflict(self.source, self.target, transform, near), wide=wide
         )

@@ -29,11 +29,13 @@ from nss_ros.geometry import (
     relative,
     rotation_angle,
 )
+from nss_ros.icp import Refined
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
 from nss_ros.registration.gravity.comparison import compared
 from nss_ros.registration.gravity.correlation import planar, score_parts, turned_spectra
 from nss_ros.registration.gravity.network import GravityNetwork, as_target
+from nss_ros.registration.gravity.polish import polished
 from nss_ros.registration.gravity.raster import Raster
 from nss_ros.registration.gravity.refinement import Alignment, Candidate, Shape, aligned, judged
 from nss_ros.registration.gravity.scan import LevelScan, is_wide_scan, scan_of, wide_scan_of
@@ -53,6 +55,7 @@ from nss_ros.registration.relative_transform import (
     RelativeTransform,
     failed,
 )
+from nss_ros.registration.validation import support
 
 # Alignments closer than this are one hypothesis.
 _SAME_TRANSLATION, _SAME_ROTATION = 0.1, np.radians(3)
@@ -63,6 +66,9 @@ _SPREAD_TRANSLATION, _SPREAD_ROTATION = 1.0, np.radians(6)
 _MOST_MARGIN = 7.0
 # Within a stage, a best hypothesis that is less probable is not taken before a tolerant search.
 _SURE = 0.8
+# Hypotheses with a probability between these are moved nearby: the others are hardly ever right, or
+# hardly ever wrong.
+_LIKELY, _CERTAIN = 0.05, 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +104,14 @@ class _Turned(NamedTuple):
     def is_of(self, maps: NDArray[np.float32], kind: int) -> bool:
         """They are of these very features; which are held, so that no others are in their place."""
         return self.maps is maps and self.kind == kind
+
+
+@dataclass(frozen=True, slots=True)
+class _Weighed:
+    """An aligned hypothesis, and the probability that it is right."""
+
+    refined: Refined
+    probability: float
 
 
 class Gravity:
@@ -305,31 +319,61 @@ class Gravity:
                     alignments.append(each)
             candidates = self._candidates(source, target, found, alignments)
             judgement = self._judged(pair, candidates)
-        order = np.argsort(-judgement.probabilities, kind="stable")
-        best = candidates[order[0]]
-        hypotheses = tuple(
-            Hypothesis(
-                candidates[number].refined.T_target_source,
-                float(judgement.probabilities[number]),
-                candidates[number].refined.covariance,
-            )
-            for number in order[1:]
-            if judgement.probabilities[number] > _LEAST_PROBABILITY
-        )
-        transforms = [each.refined.T_target_source for each in candidates]
-        spread = hypothesis_spread(transforms, judgement.probabilities, int(order[0]))
+        weighed = self._polished(source, target, candidates, judgement)
+        best, *others = weighed
+        transforms = [each.refined.T_target_source for each in weighed]
+        spread = hypothesis_spread(transforms, np.array([each.probability for each in weighed]), 0)
+        assert source.shape is not None
+        assert target.shape is not None
+        there = support(source.shape.moderate, target.shape.surface, transforms[0], self.config)
         return RelativeTransform(
             pair,
             self.name,
-            T_target_source=best.refined.T_target_source,
+            T_target_source=transforms[0],
             covariance=best.refined.covariance + spread,
             overlap_probability=judgement.overlap,
-            confidence=float(judgement.probabilities[order[0]]),
-            inliers=best.support.inliers,
-            inlier_ratio=best.support.inlier_ratio,
-            rmse=best.support.rmse,
-            alternatives=hypotheses,
+            confidence=best.probability,
+            inliers=there.inliers,
+            inlier_ratio=there.inlier_ratio,
+            rmse=there.rmse,
+            alternatives=tuple(
+                Hypothesis(each.refined.T_target_source, each.probability, each.refined.covariance)
+                for each in others
+                if each.probability > _LEAST_PROBABILITY
+            ),
         )
+
+    def _polished(
+        self,
+        source: GravityFeatures,
+        target: GravityFeatures,
+        candidates: Sequence[Candidate],
+        judgement: Judgement,
+    ) -> list[_Weighed]:
+        """The hypotheses, likeliest first; the likely ones that are not sure moved nearby.
+
+        Those that end in one place are one, as probable as all of them.
+        """
+        assert source.shape is not None
+        assert target.shape is not None
+        maps = self._maps(source, target)
+
+        def scores(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+            return score_parts(*maps, *planar(transforms)).sum(dim=1).double().numpy()
+
+        weighed: list[_Weighed] = []
+        for number in np.argsort(-judgement.probabilities, kind="stable"):
+            refined = candidates[number].refined
+            probability = float(judgement.probabilities[number])
+            if _LIKELY < probability < _CERTAIN:
+                refined = polished(source.shape, target.shape, refined, scores, self.config)
+            for place, known in enumerate(weighed):
+                if _is_same(refined.T_target_source, known.refined.T_target_source):
+                    weighed[place] = replace(known, probability=known.probability + probability)
+                    break
+            else:
+                weighed.append(_Weighed(refined, probability))
+        return sorted(weighed, key=lambda each: -each.probability)
 
     def _judged(self, pair: FragmentPair, candidates: Sequence[Candidate]) -> Judgement:
         signs = [each.signs for each in candidates]

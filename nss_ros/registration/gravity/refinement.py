@@ -150,13 +150,24 @@ def refined_near(
         start: `T_target_source`.
         config: settings.
     """
-    refined = _refined(coarse, target, start, _COARSE_ITERATIONS, config)
-    refined = _refined(moderate, target, refined.T_target_source, _FINE_ITERATIONS, config)
+    refined = refined_from(coarse, moderate, target, start, config)
     if _is_near(refined.T_target_source, start):
         return refined
     there = _refined(moderate, target, start, 0, config)
     information = np.asarray(np.linalg.inv(there.covariance + _PEAK_COVARIANCE))
     return replace(there, information=information, converged=False)
+
+
+def refined_from(
+    coarse: Surface,
+    moderate: Surface,
+    target: Surface,
+    start: Transform,
+    config: RegistrationConfig,
+) -> Refined:
+    """The alignment that begins at a transform, wherever it ends; see `refined_near`."""
+    refined = _refined(coarse, target, start, _COARSE_ITERATIONS, config)
+    return _refined(moderate, target, refined.T_target_source, _FINE_ITERATIONS, config)
 
 
 def _refined(

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from nss_ros.geometry import exponential, from_yaw, inverse
 from nss_ros.icp import Surface
-from nss_ros.multiway.fit import fit
+from nss_ros.registration.fit import fit
 
 
 def wall(facing=1.0):
