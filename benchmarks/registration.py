@@ -6,23 +6,26 @@
     ./nss python benchmarks/registration.py DATASET --tilt 1 2 3 --noise 0.01 0.03
     ./nss python benchmarks/registration.py DATASET --floating 0.1 --robot
 
-One row per method and variant: recall with 95 % bootstrap intervals, seconds of a pair with the
-features of its fragments cached and not, most memory of a worker process, calibration of the
-confidence, and how well the overlap probability tells pairs that overlap from as many that do
-not; then recall by overlap ratio and by temporal change ratio. All see the same pairs and seeds.
+One row per method and variant: recall with 95 % bootstrap intervals, and that of whoever picks the
+right one of each answer's hypotheses; seconds of a pair with the features of its fragments cached
+and not, most memory of a worker process, calibration of the confidence, and how well the overlap
+probability tells pairs that overlap from as many that do not; then recall by overlap ratio and by
+temporal change ratio. All see the same pairs and seeds. Last, what ICP reaches from the true pose.
 
 `--vary METHOD:SETTING=A,B` adds a variant of a method for each value, `--ablations` those in
-ABLATIONS, `--tilt` and `--noise` each method on fragments out of level by so many degrees, and
-with ranges that are off by a standard deviation of so many metres, `--floating` with so many points
-in empty air, as a share of all, and `--robot` with the body of a robot that carries the scanner.
+ABLATIONS and `gravity` without each of its parts, nothing trained anew; `--tilt` and `--noise` each
+method on fragments out of level by so many degrees, and with ranges that are off by a standard
+deviation of so many metres, `--floating` with so many points in empty air, as a share of all, and
+`--robot` with the body of a robot that carries the scanner.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -50,15 +53,19 @@ def main() -> None:
 
     try:
         results = measure(arguments)
+        ceiling = from_truth(arguments)
     except NssError as error:
         sys.exit(f"error: {error}")
     if arguments.json:
-        print_json([asdict(result) for result in results])
+        variants = [asdict(result) for result in results]
+        print_json({"variants": variants, "icp_from_truth": ceiling})
         return
     from nss_ros.batch.variant_table import variant_tables
 
     form = TableFormat.MARKDOWN if arguments.markdown else TableFormat.RICH
     print_tables(variant_tables(results), [], form)
+    same, different = ceiling.values()
+    print(f"\nICP that begins at the true pose: {same:.1f} / {different:.1f} % (same / different).")
     Console(stderr=True).print("./nss python " + " ".join(sys.argv), highlight=False)
 
 
@@ -91,9 +98,9 @@ def measure(arguments: argparse.Namespace) -> list[VariantResult]:
     from nss_ros.benchmark.bootstrap import Bootstrap
     from nss_ros.cli.progress import progress_bar
 
-    variants = list(chosen_variants(arguments))
     sample = chosen_pairs(arguments)
-    with progress_bar(quiet=arguments.json) as bar:
+    with TemporaryDirectory() as weights, progress_bar(quiet=arguments.json) as bar:
+        variants = list(chosen_variants(arguments, Path(weights)))
         task = bar.add_task("variants", total=len(variants))
         return list(
             run_variants(
@@ -105,6 +112,17 @@ def measure(arguments: argparse.Namespace) -> list[VariantResult]:
                 lambda done: bar.update(task, completed=done),
             )
         )
+
+
+def from_truth(arguments: argparse.Namespace) -> dict[str, float]:
+    """What ICP reaches that begins at the true pose, percent, of the same pairs."""
+    from nss_ros.batch.ceiling import recall_from_truth
+    from nss_ros.config import load_config
+    from nss_ros.dataset.folder import DatasetFolder
+
+    config = load_config(None, arguments.set).registration
+    pairs = chosen_pairs(arguments).overlapping
+    return recall_from_truth(DatasetFolder(arguments.dataset), pairs, config, arguments.workers)
 
 
 def chosen_pairs(arguments: argparse.Namespace) -> PairSample:
@@ -128,8 +146,13 @@ def chosen_pairs(arguments: argparse.Namespace) -> PairSample:
     )
 
 
-def chosen_variants(arguments: argparse.Namespace) -> Iterator[Variant]:
-    """Each method as it is, with other settings, and on perturbed fragments."""
+def chosen_variants(arguments: argparse.Namespace, weights: Path) -> Iterator[Variant]:
+    """Each method as it is, with other settings, and on perturbed fragments.
+
+    Args:
+        arguments: of the command line.
+        weights: folder for the weights of `gravity` without its parts.
+    """
     from nss_ros.batch.variant import Variant
     from nss_ros.dataset.perturbation import Perturbation
     from nss_ros.registration.method import method_names
@@ -144,8 +167,22 @@ def chosen_variants(arguments: argparse.Namespace) -> Iterator[Variant]:
         yield Variant(method, common=common)
         for override in overrides_of(method, wanted):
             yield Variant(method, (override,), common=common)
+        if method == "gravity" and arguments.ablations:
+            yield from (replace(each, common=common) for each in parts_taken_away(weights))
         for perturbation in perturbations:
             yield Variant(method, perturbation=perturbation, common=common)
+
+
+def parts_taken_away(folder: Path) -> Iterator[Variant]:
+    """`gravity` without each of its parts, whose weights are written to a folder."""
+    from nss_ros.batch.variant import Variant
+    from nss_ros.registration.gravity.ablation import ABLATIONS as PARTS
+    from nss_ros.registration.gravity.weights import load_weights, save_weights
+
+    for number, (label, take_away) in enumerate(PARTS.items()):
+        path = folder / f"{number}.safetensors"
+        save_weights(path, take_away(load_weights()))
+        yield Variant("gravity", (f"registration.gravity.weights={path}",), label=label)
 
 
 def overrides_of(method: str, wanted: Sequence[str]) -> Iterator[str]:

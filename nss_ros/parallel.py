@@ -19,6 +19,7 @@ from functools import cache, lru_cache, partial
 from typing import Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky import get_reusable_executor
 from joblib.externals.loky.process_executor import TerminatedWorkerError
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
@@ -90,6 +91,11 @@ def stream(
         yield from _in_one_process(call, items)
     else:
         yield from _on_joblib(call, items, workers, in_order=False)
+
+
+def end_workers() -> None:
+    """End the processes of joblib, which else wait for further calls for minutes."""
+    get_reusable_executor().shutdown(wait=True)
 
 
 def _call(function: Callable[[Item], Result], item: Item) -> Result:

@@ -7,10 +7,12 @@ own, whose workers are measured, so that no variant finds anything warm.
 from __future__ import annotations
 
 import resource
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+import numpy as np
 
 from nss_ros.bag import Log
 from nss_ros.batch.journal import Journal
@@ -21,16 +23,23 @@ from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.classification import MIN_OVERLAP
 from nss_ros.benchmark.evaluation import evaluate
+from nss_ros.benchmark.metrics import recall, rotation_error, successes, translation_error
 from nss_ros.benchmark.overlap_truth import COMPLETE_KEY
 from nss_ros.benchmark.score import LogScore, summarize
 from nss_ros.config import NssConfig, load_config
 from nss_ros.dataset.bag_export import ground_truth_graph
 from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.dataset.perturbation import Perturbation, PerturbedDataset
+from nss_ros.fragment import FragmentPair
+from nss_ros.geometry import Transform
+from nss_ros.multiway.pose_graph import EdgeKind, PoseGraph
+from nss_ros.parallel import end_workers
 from nss_ros.registration.method import load_method
+from nss_ros.registration.relative_transform import RelativeTransform
 from nss_ros.worker_process import stop_now, worker_pool
 
 _MEBIBYTE = 2**10  # of what the operating system counts in, KiB
+_KINDS = {EdgeKind.SAME_STAGE: "same_stage", EdgeKind.DIFFERENT_STAGE: "different_stage"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +51,19 @@ class Variant:
         overrides: settings, `section.name=value`, that tell it from others.
         perturbation: of every fragment.
         common: settings that all variants have; overrides win over them.
+        label: what the overrides are called; empty: as they are.
     """
 
     method: str
     overrides: tuple[str, ...] = ()
     perturbation: Perturbation = field(default_factory=Perturbation)
     common: tuple[str, ...] = ()
+    label: str = ""
 
     def __str__(self) -> str:
-        settings = (override.removeprefix("registration.") for override in self.overrides)
-        return ", ".join(part for part in (self.method, *settings, str(self.perturbation)) if part)
+        settings = [override.removeprefix("registration.") for override in self.overrides]
+        parts = (self.method, *([self.label] if self.label else settings), str(self.perturbation))
+        return ", ".join(part for part in parts if part)
 
     def config(self) -> NssConfig:
         """All settings.
@@ -69,12 +81,15 @@ class VariantResult:
     Attributes:
         name: of the variant.
         score: of its answers.
+        among: recall of whoever picks the right one of each answer's hypotheses where there is
+            one, percent, by kind; NaN of no pair.
         timing: seconds, with one thread.
         memory: most memory of a worker process, with all libraries it has loaded, MiB.
     """
 
     name: str
     score: LogScore
+    among: Mapping[str, float]
     timing: Timing
     memory: float
 
@@ -107,10 +122,11 @@ def run_variants(
     for number, variant in enumerate(variants, start=1):
         pool = worker_pool(1)
         try:
-            call = pool.submit(run_variant, dataset, sample, variant, bootstrap, workers)
-            yield call.result()
+            result = pool.submit(run_variant, dataset, sample, variant, bootstrap, workers).result()
+            pool.shutdown()  # what joblib left is removed by the process itself
         finally:
             stop_now(pool)
+        yield result
         report(number)
 
 
@@ -134,6 +150,8 @@ def run_variant(
         register_missing(
             dataset, pairs, config, journal, Path(work) / "features", force, lambda *_: None
         )
+        if workers != 1:
+            end_workers()  # the memory of a process is told when it has ended
         timing = timing_of(journal, variant.method, pairs)
         answers = {pair: journal.of(variant.method)[pair].result for pair in pairs}
     truth = tuple(
@@ -152,6 +170,31 @@ def run_variant(
     return VariantResult(
         str(variant),
         summarize(evaluate(log), bootstrap),
+        recall_among(answers, truth),
         timing,
         resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / _MEBIBYTE,
     )
+
+
+def recall_among(
+    answers: Mapping[FragmentPair, RelativeTransform], truth: Sequence[PoseGraph]
+) -> dict[str, float]:
+    """Recall of whoever picks the right one of each answer's hypotheses, percent, by kind.
+
+    Args:
+        answers: with their alternatives.
+        truth: graphs, whose edges count.
+    """
+    found: dict[EdgeKind, list[bool]] = {kind: [] for kind in _KINDS}
+    for edge in (edge for graph in truth for edge in graph.edges):
+        answer = answers.get(edge.pair)
+        right = answer is not None and answer.ok and _has_right(answer, edge.T_target_source)
+        found[edge.kind].append(right)
+    return {_KINDS[kind]: recall(np.array(right, dtype=bool)) for kind, right in found.items()}
+
+
+def _has_right(answer: RelativeTransform, ground_truth: Transform) -> bool:
+    listed = [answer.T_target_source, *(each.T_target_source for each in answer.alternatives)]
+    estimates = np.array(listed)
+    rre = rotation_error(ground_truth, estimates)
+    return bool(successes(rre, translation_error(ground_truth, estimates)).any())

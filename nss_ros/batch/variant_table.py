@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from nss_ros.batch.variant import VariantResult
 from nss_ros.benchmark.headline import Headline
 from nss_ros.benchmark.score import LogScore
@@ -47,6 +49,7 @@ def variant_table(results: Sequence[VariantResult]) -> Table:
                 for column in (
                     Column(f"recall, {KIND_NAMES[kind]}", "%", ".1f"),
                     Column("interval", "%"),
+                    Column("among hypotheses", "%", ".1f"),
                 )
             ),
             Column("failed", form=","),
@@ -57,7 +60,8 @@ def variant_table(results: Sequence[VariantResult]) -> Table:
             Column("overlap AUROC", form=".3f"),
         ),
         tuple(_row(result) for result in results),
-        "Recall: RRE <= 10 deg and RTE <= 0.2 m, with bootstrap intervals. ECE: expected "
+        "Recall: RRE <= 10 deg and RTE <= 0.2 m, with bootstrap intervals. Among hypotheses: "
+        "that of whoever picks the right one of each answer's hypotheses. ECE: expected "
         "calibration error of the confidence in ten bins, also of pairs that do not overlap. "
         "AUROC: of the overlap probability. Memory: most of a worker process, libraries included.",
     )
@@ -68,11 +72,15 @@ def _row(result: VariantResult) -> tuple[Cell, ...]:
     cells: list[Cell] = [result.name]
     for kind in _KINDS:
         recall = headline.get(f"recall_{kind}")
-        cells += [recall.value if recall else None, _interval(recall)]
+        cells += [recall.value if recall else None, _interval(recall), _known(result.among[kind])]
     cells += [result.timing.failed, result.timing.register, result.timing.alone, result.memory]
     for name in ("confidence_error", "overlap_auroc"):
         cells.append(headline[name].value if name in headline else None)
     return tuple(cells)
+
+
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else value
 
 
 def _interval(figure: Headline | None) -> str | None:

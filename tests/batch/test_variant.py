@@ -2,17 +2,19 @@
 
 import math
 import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from nss_ros.bag import read_log
+from nss_ros.batch.ceiling import recall_from_truth
 from nss_ros.batch.pair_sample import PairSample, sample_apart
 from nss_ros.batch.registering import Workforce
-from nss_ros.batch.run import Choice, run_benchmark
+from nss_ros.batch.run import Choice, registration_config, run_benchmark
 from nss_ros.batch.source import BatchSplit, DatasetSource, PairChoice
-from nss_ros.batch.variant import Variant, run_variant, run_variants
+from nss_ros.batch.variant import Variant, recall_among, run_variant, run_variants
 from nss_ros.batch.variant_table import variant_table, variant_tables
 from nss_ros.benchmark.bootstrap import Bootstrap
 from nss_ros.benchmark.score import score_log
@@ -22,6 +24,15 @@ from nss_ros.dataset.folder import PAIRS_NAME, DatasetFolder
 from nss_ros.dataset.pairs import read_pairs
 from nss_ros.dataset.perturbation import Perturbation
 from nss_ros.errors import ConfigError, MethodError
+from nss_ros.geometry import from_yaw
+from nss_ros.multiway.pose_graph import Edge, EdgeKind, PoseGraph
+from nss_ros.registration.method import load_method
+from nss_ros.registration.relative_transform import (
+    Hypothesis,
+    Reason,
+    RelativeTransform,
+    failed,
+)
 
 QUICK = (
     "registration.fpfh.max_keypoints=300",
@@ -64,6 +75,9 @@ def test_answers_are_those_of_nss_benchmark(dataset, sample, plain, tmp_path):
     for by in ("overlap", "change"):
         assert bin_table([result.score], by).to_csv() == bin_table([expected], by).to_csv()
     assert result.score.overall.pairwise.all.recall > 0
+    for kind, among in result.among.items():
+        own = getattr(result.score.overall.pairwise, kind)
+        assert math.isnan(among) if own.edges == 0 else own.recall <= among <= 100
     assert result.timing.pairs == len(sample.overlapping)
     assert result.timing.alone > result.timing.register > 0
     assert 50 < result.memory < 20_000
@@ -127,6 +141,35 @@ def test_variants_run_in_processes_of_their_own_and_in_order(dataset, sample):
     assert "fpfh_ransac" in variant_tables(results)[1].to_markdown()
 
 
+def test_a_right_hypothesis_counts_whichever_it_is(sample):
+    (pair, other), there = sample.overlapping.pairs[:2], from_yaw(0.3, (1.0, 2.0, 0.0))
+    kind = EdgeKind.SAME_STAGE if pair.same_stage else EdgeKind.DIFFERENT_STAGE
+    name, unknown = ("same_stage", "different_stage")[:: 1 if pair.same_stage else -1]
+    truth = (PoseGraph((), (Edge(pair, there, kind), Edge(other, there, kind))),)
+    near = there @ from_yaw(0.05, (0.1, 0.0, 0.0))
+    wrong = RelativeTransform(pair, "m", np.eye(4), confidence=0.9)
+    among = replace(wrong, alternatives=(Hypothesis(near, 0.1, np.eye(6)),))
+    for answers, expected in (({}, 0), ({pair: wrong}, 0), ({pair: among}, 50)):
+        found = recall_among(answers, truth)
+        assert found[name] == expected
+        assert math.isnan(found[unknown])
+    # What has failed has the identity for a transform, which means nothing.
+    same_place = (PoseGraph((), (Edge(pair, np.eye(4), kind),)),)
+    none = failed(pair, "m", Reason.TOO_FEW_POINTS, "")
+    assert recall_among({pair: none}, same_place)[name] == 0
+    assert recall_among({pair: wrong}, same_place)[name] == 100
+
+
+def test_icp_that_begins_at_the_truth_is_a_ceiling(dataset, sample, plain):
+    config = load_config(None, QUICK).registration
+    ceiling = recall_from_truth(dataset, sample.overlapping, config)
+    for kind, least in plain.among.items():
+        assert ceiling[kind] >= least
+    assert ceiling["same_stage"] > 50
+    nothing = sample.overlapping.take(np.arange(0))
+    assert all(math.isnan(each) for each in recall_from_truth(dataset, nothing, config).values())
+
+
 @pytest.mark.parametrize(
     ("variant", "error"),
     [
@@ -149,3 +192,14 @@ def test_the_ablations_of_the_benchmark_vary_settings_that_exist():
         assert overrides
         for override in overrides:
             Variant(method, (override,)).config()
+
+
+def test_parts_of_gravity_are_taken_away_by_weights_that_it_takes(tmp_path):
+    script = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "registration.py"))
+    variants = list(script["parts_taken_away"](tmp_path))
+    assert [str(each) for each in variants][:2] == [
+        "gravity, without second look",
+        "gravity, without verifier",
+    ]
+    for each in variants:
+        load_method(registration_config(each.config(), each.method))
