@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from statistics import median
@@ -31,7 +32,8 @@ from nss_ros.dataset.refinement import (
 )
 from nss_ros.dataset.refinement_figure import radius_figure
 from nss_ros.errors import InputError
-from nss_ros.fragment import FragmentPair
+from nss_ros.fragment import FragmentId, FragmentPair
+from nss_ros.geometry import Transform
 from nss_ros.parallel import Engine
 from nss_ros.table import Column, Table
 
@@ -49,6 +51,12 @@ def refine(
         float,
         typer.Option(min=0, help="With --study: displace the poses by this first, metres (sigma)."),
     ] = 0.0,
+    drift_length: Annotated[
+        float,
+        typer.Option(
+            min=1, help="With --drift: distance over which the displacement changes, metres."
+        ),
+    ] = 25.0,
     count: Annotated[
         int, typer.Option("--pairs", min=1, help="With --study: number of pairs, drawn at random.")
     ] = 30,
@@ -69,7 +77,10 @@ def refine(
     folder = DatasetFolder(dataset)
     pairs = _pairs(folder, settings.pairs.min_overlap)
     if study is not None:
-        rows = _study(folder, pairs, settings.refinement, drift, count, seed, workers, engine, json)
+        drifted = drifted_poses(folder.poses(), seed, drift, length=drift_length) if drift else None
+        rows = _study(
+            folder, pairs, settings.refinement, drifted, count, seed, workers, engine, json
+        )
         write_figure(study, radius_figure(rows, settings.refinement.radius))
         _print_study(rows, study, json)
         return
@@ -99,7 +110,7 @@ def _study(
     dataset: DatasetFolder,
     pairs: list[FragmentPair],
     config: RefinementConfig,
-    drift: float,
+    drifted: Mapping[FragmentId, Transform] | None,
     count: int,
     seed: int,
     workers: int,
@@ -108,7 +119,6 @@ def _study(
 ) -> list[RadiusStatistics]:
     chosen = np.random.default_rng(seed).permutation(len(pairs))[:count]
     drawn = [pairs[i] for i in sorted(chosen.tolist())]
-    truth = dataset.poses()
     with progress_bar(quiet) as progress:
         task = progress.add_task("pairs", total=len(drawn))
         return radius_study(
@@ -116,8 +126,8 @@ def _study(
             drawn,
             config,
             STUDY_RADII,
-            poses=drifted_poses(truth, seed, drift) if drift else None,
-            truth=truth if drift else None,
+            poses=drifted,
+            truth=dataset.poses() if drifted else None,
             workers=workers,
             engine=engine,
             report=lambda _: progress.advance(task),

@@ -23,7 +23,7 @@ def drifted_poses(
     seed: int,
     sigma: float = 0.03,
     yaw_sigma: float = 0.1,
-    length: float = 10.0,
+    length: float = 25.0,
 ) -> dict[FragmentId, Transform]:
     """Poses displaced by a smooth random field, another one for every stage.
 

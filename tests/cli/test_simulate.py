@@ -223,11 +223,12 @@ def test_ground_truth_between_stages_is_refined(made, tmp_path):
         truth = relative(poses[pair.source], poses[pair.target])
         assert np.linalg.norm((inverse(truth) @ each.T_target_source)[:3, 3]) < 0.1
     plot = tmp_path / "radius.png"
-    rows = run_json(
-        "refine", dataset, "--study", plot, "--drift", 0.03, "--pairs", 2, "--workers", 1
-    )["radii"]
+    study = ("refine", dataset, "--study", plot, "--drift", 0.03, "--pairs", 2, "--workers", 1)
+    rows = run_json(*study)["radii"]
     assert [row["radius"] for row in rows] == [2, 4, 6, 8, 10, 12, 14, 16, 18]
     assert all(row["error"] > 0 for row in rows)
+    soon = run_json(*study, "--drift-length", 2)["radii"]
+    assert [row["error"] for row in soon] != [row["error"] for row in rows]
     assert plot.read_bytes().startswith(b"\x89PNG")
 
 
