@@ -68,7 +68,7 @@ _MOST_MARGIN = 7.0
 _SURE = 0.8
 # Hypotheses with a probability between these are moved nearby: the others are hardly ever right, or
 # hardly ever wrong.
-_LIKELY, _CERTAIN = 0.05, 0.95
+_LIKELY, _CERTAIN = 0.1, 0.95
 
 
 @dataclass(frozen=True, slots=True)

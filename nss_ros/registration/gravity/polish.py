@@ -19,13 +19,13 @@ from nss_ros.geometry import Transform, from_yaw, inverse, relative, rotation_an
 from nss_ros.icp import Refined
 from nss_ros.registration.fit import fit
 from nss_ros.registration.gravity.agreement import agreement
-from nss_ros.registration.gravity.refinement import Shape, refined_from
+from nss_ros.registration.gravity.refinement import Shape, coarsely, finely
 
 # Places around, radians and metres.
 _TURN, _SHIFT = np.radians(3), 0.2
 # Farther away is another place; ends this near each other are one.
 _MOST_TRANSLATION, _MOST_ROTATION = 0.6, np.radians(8)
-_SAME_TRANSLATION, _SAME_ROTATION = 0.02, np.radians(0.3)
+_SAME_TRANSLATION, _SAME_ROTATION = 0.03, np.radians(0.5)
 # What it counts, on the scale of the score, if all points fit, and if all are in free space. Of 171
 # answers that were 0.2 to 0.6 m off these put 77 right, and of 490 that were right, but not sure,
 # 14 wrong (the bundled bag, Schependomlaan, five maps of another simulator).
@@ -46,13 +46,16 @@ def polished(
         scores: of transforms (k, 4, 4), by what was learned, (k,).
         config: settings.
     """
-    found = [hypothesis]
+    known = [hypothesis.T_target_source]
     for start in _starts(hypothesis.T_target_source):
-        refined = refined_from(source.coarse, source.moderate, target.surface, start, config)
-        if _is_within(refined, hypothesis, _MOST_TRANSLATION, _MOST_ROTATION) and not any(
-            _is_within(refined, known, _SAME_TRANSLATION, _SAME_ROTATION) for known in found
-        ):
-            found.append(refined)
+        end = coarsely(source.coarse, target.surface, start, config).T_target_source
+        near = _is_within(end, hypothesis.T_target_source, _MOST_TRANSLATION, _MOST_ROTATION)
+        if near and not any(_is_same(end, other) for other in known):
+            known.append(end)
+    if len(known) == 1:
+        return hypothesis
+    others = (finely(source.moderate, target.surface, end, config) for end in known[1:])
+    found = [hypothesis, *others]
     transforms = np.array([each.T_target_source for each in found])
     worth = scores(transforms) + [_evidence(source, target, each) for each in transforms]
     return found[int(np.argmax(worth))]
@@ -77,8 +80,12 @@ def _evidence(source: Shape, target: Shape, transform: Transform) -> float:
     return _FIT_WEIGHT * (there + back) - _FREE_WEIGHT * free
 
 
-def _is_within(one: Refined, other: Refined, translation: float, rotation: float) -> bool:
-    difference = relative(one.T_target_source, other.T_target_source)
+def _is_same(one: Transform, other: Transform) -> bool:
+    return _is_within(one, other, _SAME_TRANSLATION, _SAME_ROTATION)
+
+
+def _is_within(one: Transform, other: Transform, translation: float, rotation: float) -> bool:
+    difference = relative(one, other)
     return bool(
         np.linalg.norm(difference[:3, 3]) < translation and rotation_angle(difference) < rotation
     )

@@ -150,7 +150,8 @@ def refined_near(
         start: `T_target_source`.
         config: settings.
     """
-    refined = refined_from(coarse, moderate, target, start, config)
+    refined = coarsely(coarse, target, start, config)
+    refined = finely(moderate, target, refined.T_target_source, config)
     if _is_near(refined.T_target_source, start):
         return refined
     there = _refined(moderate, target, start, 0, config)
@@ -158,16 +159,18 @@ def refined_near(
     return replace(there, information=information, converged=False)
 
 
-def refined_from(
-    coarse: Surface,
-    moderate: Surface,
-    target: Surface,
-    start: Transform,
-    config: RegistrationConfig,
+def coarsely(
+    coarse: Surface, target: Surface, start: Transform, config: RegistrationConfig
 ) -> Refined:
-    """The alignment that begins at a transform, wherever it ends; see `refined_near`."""
-    refined = _refined(coarse, target, start, _COARSE_ITERATIONS, config)
-    return _refined(moderate, target, refined.T_target_source, _FINE_ITERATIONS, config)
+    """The alignment of few points that begins at a transform, wherever it ends."""
+    return _refined(coarse, target, start, _COARSE_ITERATIONS, config)
+
+
+def finely(
+    moderate: Surface, target: Surface, start: Transform, config: RegistrationConfig
+) -> Refined:
+    """The same of more points, from where it ended."""
+    return _refined(moderate, target, start, _FINE_ITERATIONS, config)
 
 
 def _refined(
