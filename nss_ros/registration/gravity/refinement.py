@@ -16,7 +16,7 @@ from nss_ros.registration.gravity.height import Levels, height_between
 from nss_ros.registration.gravity.raster import Floor
 from nss_ros.registration.gravity.scan import LevelScan
 from nss_ros.registration.gravity.search import Peak, Search
-from nss_ros.registration.validation import Support, support
+from nss_ros.registration.validation import support
 
 # Point-to-plane distance at which a surface counts a quarter, metres: what changed must not pull.
 _KERNEL = 0.05
@@ -112,12 +112,10 @@ class Candidate:
 
     Attributes:
         refined: outcome of ICP.
-        support: by the points.
         signs: (len(SIGNS),) float64.
     """
 
     refined: Refined
-    support: Support
     signs: Array
 
 
@@ -238,7 +236,7 @@ def judged(
         float(empty_weight > 0),
         *second_look,
     )
-    return Candidate(refined, forth, np.array(signs))
+    return Candidate(refined, np.array(signs))
 
 
 def _is_near(transform: Transform, start: Transform) -> bool:
