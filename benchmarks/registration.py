@@ -52,8 +52,9 @@ def main() -> None:
     from nss_ros.errors import NssError
 
     try:
-        results = measure(arguments)
-        ceiling = from_truth(arguments)
+        sample = chosen_pairs(arguments)
+        results = measure(arguments, sample)
+        ceiling = from_truth(arguments, sample)
     except NssError as error:
         sys.exit(f"error: {error}")
     if arguments.json:
@@ -92,13 +93,12 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def measure(arguments: argparse.Namespace) -> list[VariantResult]:
+def measure(arguments: argparse.Namespace, sample: PairSample) -> list[VariantResult]:
     """The results of all variants, in the order of the table."""
     from nss_ros.batch.variant import run_variants
     from nss_ros.benchmark.bootstrap import Bootstrap
     from nss_ros.cli.progress import progress_bar
 
-    sample = chosen_pairs(arguments)
     with TemporaryDirectory() as weights, progress_bar(quiet=arguments.json) as bar:
         variants = list(chosen_variants(arguments, Path(weights)))
         task = bar.add_task("variants", total=len(variants))
@@ -114,15 +114,15 @@ def measure(arguments: argparse.Namespace) -> list[VariantResult]:
         )
 
 
-def from_truth(arguments: argparse.Namespace) -> dict[str, float]:
+def from_truth(arguments: argparse.Namespace, sample: PairSample) -> dict[str, float]:
     """What ICP reaches that begins at the true pose, percent, of the same pairs."""
     from nss_ros.batch.ceiling import recall_from_truth
     from nss_ros.config import load_config
     from nss_ros.dataset.folder import DatasetFolder
 
     config = load_config(None, arguments.set).registration
-    pairs = chosen_pairs(arguments).overlapping
-    return recall_from_truth(DatasetFolder(arguments.dataset), pairs, config, arguments.workers)
+    dataset = DatasetFolder(arguments.dataset)
+    return recall_from_truth(dataset, sample.overlapping, config, arguments.workers)
 
 
 def chosen_pairs(arguments: argparse.Namespace) -> PairSample:

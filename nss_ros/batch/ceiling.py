@@ -13,10 +13,11 @@ import numpy as np
 
 from nss_ros.benchmark.metrics import recall, rotation_error, successes, translation_error
 from nss_ros.config import RegistrationConfig
+from nss_ros.dataset.bag_export import ground_truth_graph
 from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.dataset.pairs import PairTable
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.geometry import Transform, relative
+from nss_ros.geometry import Transform
 from nss_ros.parallel import run
 from nss_ros.registration.gravity.refinement import Shape, refined_near
 from nss_ros.registration.gravity.scan import fitting_scan_of
@@ -50,16 +51,15 @@ def recall_from_truth(
     Raises:
         FormatError: a fragment cannot be read.
     """
-    poses = dataset.poses()
-    trials = (
-        _Trial(dataset.path, pair, relative(poses[pair.source], poses[pair.target]), config)
-        for pair in pairs.pairs
-    )
+    graphs = [ground_truth_graph(dataset, area, pairs) for area in dataset.areas()]
+    trials = [
+        _Trial(dataset.path, edge.pair, edge.T_target_source, config)
+        for graph in graphs
+        for edge in graph.edges
+    ]
     right = np.array(list(run(_stays, trials, workers)), dtype=bool)
-    return {
-        "same_stage": recall(right[pairs.same_stage]),
-        "different_stage": recall(right[~pairs.same_stage]),
-    }
+    same = np.array([trial.pair.same_stage for trial in trials], dtype=bool)
+    return {"same_stage": recall(right[same]), "different_stage": recall(right[~same])}
 
 
 def _stays(trial: _Trial) -> bool:

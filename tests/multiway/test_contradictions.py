@@ -8,7 +8,12 @@ import pytest
 from nss_ros.config import MultiwayConfig
 from nss_ros.geometry import from_yaw, inverse
 from nss_ros.multiway.choi import Choi
-from nss_ros.multiway.contradictions import loss_of_pair, loss_of_parts, noise_of
+from nss_ros.multiway.contradictions import (
+    loss_of_pair,
+    loss_of_parts,
+    nearest_pairs,
+    noise_of,
+)
 from nss_ros.multiway.solver import prepared_by
 from nss_ros.multiway.submap_joining import joined_submaps
 
@@ -71,6 +76,18 @@ def test_both_parts_are_looked_at_alike(building, ids):
     forth = loss_of_parts(one, other, wrong, building.prepared)
     back = loss_of_parts(other, one, inverse(wrong), building.prepared)
     assert forth == pytest.approx(back)
+
+
+def test_scanners_that_reach_far_are_looked_at_from_farther_away(building, ids):
+    one, other = {ids[0]: np.eye(4)}, {ids[1]: np.eye(4)}
+    far = replace(building.prepared[ids[0]], seen=np.zeros((120, 120), dtype=np.float16))
+    assert far.reach == pytest.approx(12)
+    with_far = building.prepared | {ids[0]: far}
+    for metres, usual, wide in ((5, True, True), (8, False, True), (16, False, False)):
+        there = from_yaw(0, (metres, 0, 0))
+        for prepared, found in ((building.prepared, usual), (with_far, wide)):
+            expected = [(ids[1], ids[0])] if found else []
+            assert nearest_pairs(one, other, there, prepared, 5) == expected
 
 
 def test_what_is_far_apart_or_of_other_stages_loses_nothing(building, ids):

@@ -11,7 +11,6 @@ from copy import deepcopy
 import torch
 from torch import nn
 
-from nss_ros.registration.gravity.comparison import Comparison
 from nss_ros.registration.gravity.network import Head
 from nss_ros.registration.gravity.refinement import SIGNS
 from nss_ros.registration.gravity.verifier import Verifier
@@ -44,7 +43,10 @@ def without_free_space(networks: Networks) -> Networks:
 def without_second_look(networks: Networks) -> Networks:
     """All aligned hypotheses look the same to the second look, as they do on average."""
     networks = deepcopy(networks)
-    _constant(networks.comparison, float(networks.verifier.mean[SIGNS.index("comparison")]))
+    last = networks.comparison.leave[-1]
+    assert isinstance(last, nn.Linear)
+    nn.init.zeros_(last.weight)
+    nn.init.constant_(last.bias, float(networks.verifier.mean[SIGNS.index("comparison")]))
     return networks
 
 
@@ -73,10 +75,3 @@ ABLATIONS: Mapping[str, Callable[[Networks], Networks]] = {
 
 def _heads(networks: Networks) -> list[Head]:
     return [head for head in networks.network.heads if isinstance(head, Head)]
-
-
-def _constant(comparison: Comparison, value: float) -> None:
-    last = comparison.leave[-1]
-    assert isinstance(last, nn.Linear)
-    nn.init.zeros_(last.weight)
-    nn.init.constant_(last.bias, value)

@@ -29,7 +29,6 @@ from nss_ros.geometry import (
     relative,
     rotation_angle,
 )
-from nss_ros.icp import Refined
 from nss_ros.registration.features import FpfhFeatures
 from nss_ros.registration.fpfh import FpfhRansac
 from nss_ros.registration.gravity.comparison import compared
@@ -104,14 +103,6 @@ class _Turned(NamedTuple):
     def is_of(self, maps: NDArray[np.float32], kind: int) -> bool:
         """They are of these very features; which are held, so that no others are in their place."""
         return self.maps is maps and self.kind == kind
-
-
-@dataclass(frozen=True, slots=True)
-class _Weighed:
-    """An aligned hypothesis, and the probability that it is right."""
-
-    refined: Refined
-    probability: float
 
 
 class Gravity:
@@ -319,28 +310,23 @@ class Gravity:
                     alignments.append(each)
             candidates = self._candidates(source, target, found, alignments)
             judgement = self._judged(pair, candidates)
-        weighed = self._polished(source, target, candidates, judgement)
-        best, *others = weighed
-        transforms = [each.refined.T_target_source for each in weighed]
-        spread = hypothesis_spread(transforms, np.array([each.probability for each in weighed]), 0)
+        best, *others = self._polished(source, target, candidates, judgement)
+        transforms = [each.T_target_source for each in (best, *others)]
+        probabilities = np.array([each.probability for each in (best, *others)])
         assert source.shape is not None
         assert target.shape is not None
         there = support(source.shape.moderate, target.shape.surface, transforms[0], self.config)
         return RelativeTransform(
             pair,
             self.name,
-            T_target_source=transforms[0],
-            covariance=best.refined.covariance + spread,
+            T_target_source=best.T_target_source,
+            covariance=best.covariance + hypothesis_spread(transforms, probabilities, 0),
             overlap_probability=judgement.overlap,
             confidence=best.probability,
             inliers=there.inliers,
             inlier_ratio=there.inlier_ratio,
             rmse=there.rmse,
-            alternatives=tuple(
-                Hypothesis(each.refined.T_target_source, each.probability, each.refined.covariance)
-                for each in others
-                if each.probability > _LEAST_PROBABILITY
-            ),
+            alternatives=tuple(each for each in others if each.probability > _LEAST_PROBABILITY),
         )
 
     def _polished(
@@ -349,7 +335,7 @@ class Gravity:
         target: GravityFeatures,
         candidates: Sequence[Candidate],
         judgement: Judgement,
-    ) -> list[_Weighed]:
+    ) -> list[Hypothesis]:
         """The hypotheses, likeliest first; the likely ones that are not sure moved nearby.
 
         Those that end in one place are one, as probable as all of them.
@@ -361,19 +347,19 @@ class Gravity:
         def scores(transforms: NDArray[np.float64]) -> NDArray[np.float64]:
             return score_parts(*maps, *planar(transforms)).sum(dim=1).double().numpy()
 
-        weighed: list[_Weighed] = []
+        found: list[Hypothesis] = []
         for number in np.argsort(-judgement.probabilities, kind="stable"):
             refined = candidates[number].refined
             probability = float(judgement.probabilities[number])
             if _LIKELY < probability < _CERTAIN:
                 refined = polished(source.shape, target.shape, refined, scores, self.config)
-            for place, known in enumerate(weighed):
-                if _is_same(refined.T_target_source, known.refined.T_target_source):
-                    weighed[place] = replace(known, probability=known.probability + probability)
+            for place, known in enumerate(found):
+                if _is_same(refined.T_target_source, known.T_target_source):
+                    found[place] = replace(known, probability=known.probability + probability)
                     break
             else:
-                weighed.append(_Weighed(refined, probability))
-        return sorted(weighed, key=lambda each: -each.probability)
+                found.append(Hypothesis(refined.T_target_source, probability, refined.covariance))
+        return sorted(found, key=lambda each: -each.probability)
 
     def _judged(self, pair: FragmentPair, candidates: Sequence[Candidate]) -> Judgement:
         signs = [each.signs for each in candidates]
