@@ -1,5 +1,6 @@
 """The ./nss script, its pinned packages, and what the package files promise."""
 
+import ast
 import json
 import re
 import shutil
@@ -7,7 +8,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Collection
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, packages_distributions, requires
 from pathlib import Path
 
 import pytest
@@ -149,3 +150,41 @@ def sourced(file: Path, name: str, variables: dict[str, str]) -> str:
         check=True,
     )
     return result.stdout
+
+
+def third_party_imports() -> dict[str, Path]:
+    """Top-level modules that nss_ros imports, less Python's and ROS's, each with a file of it."""
+    found: dict[str, Path] = {}
+    for file in sorted((ROOT / "nss_ros").rglob("*.py")):
+        if "nodes" in file.parts:
+            continue
+        for node in ast.walk(ast.parse(file.read_text())):
+            names: list[str] = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [str(node.module)]
+            found |= {name.split(".")[0]: file for name in names}
+    return {
+        name: file
+        for name, file in found.items()
+        if name not in sys.stdlib_module_names and name != "nss_ros"
+    }
+
+
+def test_pip_install_brings_all_that_the_core_imports() -> None:
+    def plain(name: str) -> str:
+        return re.split(r"[^a-z0-9-]", name.lower().replace("_", "-"))[0]
+
+    declared = {plain(each) for each in requires("nss_ros") or []}
+    declared |= {"open3d-cpu"}  # of ./nss, the same module in a smaller wheel
+    imports = third_party_imports()
+    assert {"numpy", "open3d", "ifcopenshell", "torch"} <= imports.keys()
+    installed = packages_distributions()
+    missing = {
+        module: str(file.relative_to(ROOT))
+        for module, file in imports.items()
+        if not declared & {plain(each) for each in installed.get(module, [module])}
+    }
+    assert missing == {}
+    assert "open3d" in declared

@@ -41,7 +41,8 @@ class DatasetWriter:
     """A dataset being made: a new folder, or one whose making was cut short.
 
     A fragment counts once its pose is on record, and its pose is written after its points. The
-    finished folder is the same, byte for byte, however often the run was interrupted.
+    finished folder is the same, byte for byte, however often the run was interrupted. A folder in
+    which no area was begun is as good as new: other settings are welcome there.
 
     Args:
         path: folder; created if it is not there.
@@ -59,7 +60,10 @@ class DatasetWriter:
         self._poses: dict[FragmentId, Transform] = {}
         if (path / MANIFEST_NAME).exists():
             self._manifest = read_manifest(path)
-            _check_same(path, self._manifest, manifest)
+            if self._manifest.areas or self._manifest.complete:
+                _check_same(path, self._manifest, manifest)
+            else:  # no site could be built: nothing is lost where it is begun in another way
+                self._manifest = manifest
         elif path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise InputError(
                 f"{path} exists and is not a dataset: choose another name or remove it."

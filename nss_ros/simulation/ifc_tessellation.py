@@ -82,14 +82,16 @@ def import_ifcopenshell() -> Any:
     """The package ifcopenshell, with its geometry kernel.
 
     Raises:
-        InputError: it is not installed.
+        InputError: it is not installed, or what triangulates the ground of a site is not.
     """
     try:
         import ifcopenshell
         import ifcopenshell.geom
+        import mapbox_earcut  # noqa: F401 - trimesh uses it; better missed now than half-way
     except ImportError as error:
         raise InputError(
-            "Reading IFC files needs the package ifcopenshell: pip install ifcopenshell."
+            f"Reading IFC files needs the package {error.name}: "
+            "pip install ifcopenshell mapbox_earcut."
         ) from error
     return ifcopenshell
 

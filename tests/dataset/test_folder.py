@@ -161,6 +161,14 @@ def test_other_settings_are_refused(whole, change, words):
     assert content(whole) == before
 
 
+def test_where_no_area_was_begun_other_settings_are_welcome(tmp_path):
+    DatasetWriter(tmp_path / "a", MANIFEST, panoramas=True)  # its first site could not be built
+    other = MANIFEST.model_copy(update={"seed": 4, "versions": {"numpy": "9"}})
+    assert make(tmp_path / "a", manifest=other) == 12
+    assert make(tmp_path / "b", manifest=other) == 12
+    assert content(tmp_path / "a") == content(tmp_path / "b")
+
+
 def test_another_site_is_refused(tmp_path):
     make(tmp_path / "a", stop_after=2)
     writer = DatasetWriter(tmp_path / "a", MANIFEST, panoramas=True)
