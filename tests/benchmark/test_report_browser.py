@@ -84,10 +84,10 @@ def overflow(page):
 def read_through(page):
     """Bring every chart into sight once, and wait until it is drawn."""
     for element in page.query_selector_all(".plot, .view"):
-        element.scroll_into_view_if_needed()
-    page.wait_for_function(
-        "[...document.querySelectorAll('.plot, .view')].every(e => e.querySelector('.main-svg'))"
-    )
+        # Playwright's own scrolling waits for two frames without motion, which a busy machine
+        # may not draw within its patience.
+        element.evaluate("e => e.scrollIntoView()")
+        page.wait_for_function("e => e.querySelector('.main-svg')", arg=element)
 
 
 def shown_traces(page):
