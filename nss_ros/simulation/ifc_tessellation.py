@@ -90,7 +90,7 @@ def import_ifcopenshell() -> Any:
         import mapbox_earcut  # noqa: F401 - trimesh uses it; better missed now than half-way
     except ImportError as error:
         raise InputError(
-            f"Reading IFC files needs the package {error.name}: "
+            f"Reading IFC files needs the packages ifcopenshell and mapbox_earcut ({error}): "
             "pip install ifcopenshell mapbox_earcut."
         ) from error
     return ifcopenshell
