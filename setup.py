@@ -83,10 +83,15 @@ setup(
             "gravity = nss_ros.registration.gravity.method:Gravity",
             "fpfh_fgr = nss_ros.registration.fpfh:FpfhFgr",
             "kiss_matcher = nss_ros.registration.kiss_matcher:KissMatcher",
+            "fcgf = nss_ros.registration.learned.fcgf:Fcgf",
+            "d3feat = nss_ros.registration.learned.d3feat:D3Feat",
+            "predator = nss_ros.registration.learned.predator:Predator",
+            "geotransformer = nss_ros.registration.learned.geotransformer:GeoTransformer",
         ],
         "nss_ros.synchronizers": [
             "choi = nss_ros.multiway.choi:Choi",
             "submaps = nss_ros.multiway.submaps:Submaps",
+            "posegraphnet = nss_ros.multiway.posegraphnet:PoseGraphNet",
         ],
     },
 )

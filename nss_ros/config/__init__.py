@@ -16,10 +16,13 @@ from nss_ros.config.dataset import (
 from nss_ros.config.ground_truth import AlignmentConfig, RefinementConfig
 from nss_ros.config.loading import NssConfig, load_config, validated, write_config
 from nss_ros.config.run import (
+    FcgfConfig,
     FpfhConfig,
     GravityConfig,
     IcpConfig,
     KissMatcherConfig,
+    KPConvConfig,
+    LearnedConfig,
     MultiwayConfig,
     PlayerConfig,
     PoseGraphConfig,
@@ -35,11 +38,14 @@ from nss_ros.config.site import SiteConfig, WingConfig
 __all__ = [
     "AlignmentConfig",
     "DatasetConfig",
+    "FcgfConfig",
     "FpfhConfig",
     "GraphConfig",
     "GravityConfig",
     "IcpConfig",
+    "KPConvConfig",
     "KissMatcherConfig",
+    "LearnedConfig",
     "MultiwayConfig",
     "NssConfig",
     "PairConfig",

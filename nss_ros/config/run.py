@@ -92,6 +92,37 @@ class KissMatcherConfig(Section):
     )
 
 
+class LearnedConfig(Section):
+    """A learned baseline; it does not run without trained weights."""
+
+    weights: str = Field(
+        "", description="File of trained weights: the checkpoint of the method's authors, or yours"
+    )
+    device: Literal["auto", "cpu", "cuda"] = Field(
+        "auto", description="Where the network runs; auto: on a GPU if there is one"
+    )
+    max_keypoints: int = Field(5000, gt=0, description="Described points kept for matching")
+    inlier_distance: Positive = Field(
+        0.15, description="Correspondences closer than this agree, metres"
+    )
+
+
+class FcgfConfig(LearnedConfig):
+    """FCGF (Choy et al. 2019)."""
+
+    voxel_size: Positive = Field(
+        0.05, description="Voxel size by which the weights were trained, metres"
+    )
+
+
+class KPConvConfig(LearnedConfig):
+    """A network of kernel point convolutions."""
+
+    voxel_size: Positive = Field(
+        0.025, description="First voxel size by which the weights were trained, metres"
+    )
+
+
 class IcpConfig(Section):
     """Point-to-plane refinement."""
 
@@ -128,6 +159,10 @@ class RegistrationConfig(Section):
     gravity: GravityConfig = GravityConfig()
     fpfh: FpfhConfig = FpfhConfig()
     kiss_matcher: KissMatcherConfig = KissMatcherConfig()
+    fcgf: FcgfConfig = FcgfConfig()
+    d3feat: KPConvConfig = KPConvConfig()
+    predator: KPConvConfig = KPConvConfig()
+    geotransformer: KPConvConfig = KPConvConfig()
     icp: IcpConfig = IcpConfig()
 
 

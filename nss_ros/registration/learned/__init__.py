@@ -1,0 +1,1 @@
+"""The learned baselines of the NSS paper: networks that load the checkpoints of their authors."""
