@@ -95,13 +95,16 @@ def grid_subsampled(points: Points, voxel_size: float) -> Points:
     size = np.float32(voxel_size)
     origin = np.floor(points.min(axis=0) * (np.float32(1) / size)) * size
     cells = np.floor((points - origin) / size).astype(np.int64)
-    unique, voxels = np.unique(cells[:, ::-1], axis=0, return_inverse=True)
-    voxels = voxels.reshape(-1)
-    sums = np.zeros((len(unique), 3), dtype=np.float32)
-    for axis in range(3):  # in the order of the points, unlike other ways to sum
-        np.add.at(sums[:, axis], voxels, points[:, axis])
+    order = np.lexsort(cells.T)
+    cells, points = cells[order], points[order]
+    starts = np.ones(len(points), dtype=bool)
+    starts[1:] = (cells[1:] != cells[:-1]).any(axis=1)
+    voxels = np.cumsum(starts) - 1
     counts = np.bincount(voxels)
-    return sums * (1 / counts).astype(np.float32)[:, None]
+    sums = np.zeros((3, len(counts)), dtype=np.float32)
+    for axis in range(3):  # `at` adds point by point, as the sums of C++ were made
+        np.add.at(sums[axis], voxels, points[:, axis])
+    return np.ascontiguousarray((sums * (1 / counts).astype(np.float32)).T)
 
 
 def radius_neighbours(queries: Points, supports: Points, radius: float, limit: int) -> Indices:
