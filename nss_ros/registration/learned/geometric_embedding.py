@@ -105,13 +105,13 @@ class Structure:
         return len(self.points)
 
     def rows(self, rows: slice) -> Tensor:
-        """Embeddings (r, n, channels) of some superpoints as the first of a pair."""
+        """Embeddings (r, n, channels) of some superpoints as the first of a pair; no gradients."""
         lines = self.points - self.points[rows, None]
         embedded = self.of_angle(self._angles(lines, self.nearest[rows, 0]))
         for neighbour in range(1, NEIGHBOURS):
             angles = self._angles(lines, self.nearest[rows, neighbour])
-            embedded = torch.maximum(embedded, self.of_angle(angles))
-        return embedded + self.of_distance(self.distances[rows])
+            torch.maximum(embedded, self.of_angle(angles), out=embedded)
+        return embedded.add_(self.of_distance(self.distances[rows]))
 
     @staticmethod
     def _angles(lines: Tensor, nearest: Tensor) -> Tensor:

@@ -16,8 +16,8 @@ from nss_ros.registration.learned.geometric_embedding import GeometricEmbedding,
 
 _HEADS = 4
 _BLOCKS = 3
-# Pairs of superpoints whose embeddings are made at a time.
-_PAIRS = 2**14
+# Pairs of superpoints whose embeddings are made at a time: what fits into a cache, or a GPU.
+_PAIRS = {"cpu": 2**13, "cuda": 2**20}
 
 
 class RelativeAttention(nn.Module):
@@ -40,7 +40,7 @@ class RelativeAttention(nn.Module):
         key, value = _heads(self.proj_k(features)), _heads(self.proj_v(features))
         weight = self.proj_p.weight.view(_HEADS, -1, features.shape[1])
         structural = (query @ weight).transpose(0, 1)
-        step = max(1, _PAIRS // len(structure))
+        step = max(1, _PAIRS[features.device.type] // len(structure))
         gathered = []
         for start in range(0, len(structure), step):
             rows = slice(start, start + step)
