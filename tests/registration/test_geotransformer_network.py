@@ -5,9 +5,9 @@ import hashlib
 import numpy as np
 import pytest
 import torch
+from drawn_weights import weighted
 
 from nss_ros.registration.learned.geotransformer_network import GeoTransformerNetwork
-from nss_ros.registration.learned.kernel_points import KernelPointConvolution
 from nss_ros.registration.learned.local_to_global import PatchMatches, local_to_global
 from nss_ros.registration.learned.pyramid import pyramid
 
@@ -25,34 +25,6 @@ def corner(seed, count, turn=0.0):
     return (points @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])).astype(
         np.float32
     )
-
-
-def scale(name):
-    """Of weights: superpoints remain different, and attend to few others."""
-    if ".linear." in name or ".squeeze." in name:
-        return 0.3
-    return 3.0 if name.endswith(("proj_q.weight", "proj_k.weight", "proj_p.weight")) else 1.0
-
-
-def weighted(network):
-    """The network with weights that any machine can draw again; returns it."""
-    random = np.random.default_rng(7)
-    for name, tensor in sorted(network.state_dict().items()):
-        if "div_term" not in name and "kernel_points" not in name:
-            spread = (
-                1 / np.sqrt(tensor.shape[-2 if tensor.dim() == 3 else -1])
-                if tensor.dim() > 1
-                else 0.2
-            )
-            drawn = scale(name) * random.normal(0, spread, tensor.shape) + name.endswith(
-                "norm.weight"
-            )
-            tensor.copy_(torch.from_numpy(np.asarray(drawn)))
-    for module in network.modules():
-        if isinstance(module, KernelPointConvolution):
-            drawn = random.normal(0, 0.5 * module.extent, module.kernel_points.shape)
-            module.kernel_points.copy_(torch.from_numpy(drawn))
-    return network.eval().requires_grad_(False)
 
 
 def levels():
@@ -103,9 +75,8 @@ def test_matched_points_and_their_transform(found):
         matches = network.matches(target, source)
     assert abs(len(matches.scores) - 6245) < 10
     assert abs(float(matches.scores.sum()) - 589.96) < 1
-    assert is_close(matches.scores[:4], (0.126927, 0.090785, 0.096310, 0.083862))
-    assert is_close(matches.target[0], (0.0, 0.334488, 0.916989))
-    assert is_close(matches.source[0], (-0.119514, 0.282677, 0.928525))
+    assert np.allclose(matches.target.mean(dim=0), (0.408137, 0.255731, 0.429678), atol=2e-3)
+    assert np.allclose(matches.source.mean(dim=0), (0.200415, 0.363528, 0.451686), atol=2e-3)
     numbers = matches.patches.numpy()
     assert (np.diff(numbers) >= 0).all()
     nothing = np.zeros((len(numbers), 3))
