@@ -13,6 +13,7 @@ from nss_ros.errors import MethodError
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.registration.learned.geotransformer import GeoTransformer
 from nss_ros.registration.learned.geotransformer_network import GeoTransformerNetwork
+from nss_ros.registration.learned.local_to_global import local_to_global
 from nss_ros.registration.learned.pyramid import grid_subsampled
 from nss_ros.registration.method import load_method, method_names
 
@@ -130,8 +131,39 @@ def test_matches_are_points_of_the_two_clouds(method, moved_and_still):
 
 def test_the_candidate_is_that_of_local_to_global_registration(method, moved_and_still):
     source, target = moved_and_still
-    (candidate,) = method._candidates(method._matches(source, target), True, 0)
+    matches = method._matches(source, target)
+    (candidate,) = method._candidates(matches, True, 0)
     assert np.allclose(candidate[:3, 3], -SHIFT, atol=0.02)
+    same, narrow, wide = (local_to_global(matches, each * VOXEL_SIZE) for each in (4, 3, 5))
+    assert np.array_equal(candidate, same)
+    assert not np.array_equal(candidate, narrow)
+    assert not np.array_equal(candidate, wide)
+
+
+class SeenError(Exception):
+    """The network has got its input, and need not go on."""
+
+
+def test_the_network_sees_the_target_first_and_as_many_neighbours_as_in_training(method):
+    random = np.random.default_rng(0)
+    dense = method.prepare(Fragment(FIRST, random.uniform(0, 6, (60_000, 3)).astype(np.float32)))
+    sparse = method.prepare(Fragment(SECOND, random.uniform(0, 3, (900, 3)).astype(np.float32)))
+    seen = []
+
+    def see(_, inputs):
+        seen.extend(inputs[0])
+        raise SeenError
+
+    handle = method._network.register_forward_pre_hook(see)
+    with pytest.raises(SeenError):
+        method._matches(sparse, dense)
+    handle.remove()
+    assert [level.neighbours.shape[1] for level in seen] == [38, 36, 36, 38]
+    assert seen[0].lengths == (len(dense.cloud), len(sparse.cloud))
+    assert np.array_equal(seen[0].points[: len(dense.cloud)], dense.cloud)
+    point, rank = (seen[0].neighbours < len(seen[0].points)).nonzero(as_tuple=True)
+    offsets = seen[0].points[point] - seen[0].points[seen[0].neighbours[point, rank]]
+    assert 2.4 * VOXEL_SIZE < offsets.norm(dim=1).max() <= 2.5 * VOXEL_SIZE
 
 
 CODE = """
