@@ -37,7 +37,9 @@ _HOLDERS = ("state_dict", "model", "model_state_dict")
 _SHOWN = 3
 
 
-def load_weights(network: Module, path: str, method: str, published: str) -> None:
+def load_weights(
+    network: Module, path: str, method: str, published: str, optional: str = ""
+) -> None:
     """Fill a network from a checkpoint and make it ready for use (`eval`).
 
     Args:
@@ -45,6 +47,8 @@ def load_weights(network: Module, path: str, method: str, published: str) -> Non
         path: file of the checkpoint (`.pth`, `.pth.tar`, `.tar` or `.safetensors`).
         method: registered name, under which the file is configured.
         published: where the authors publish their checkpoints.
+        optional: how the names of tensors end that some checkpoints have none of; the network
+            then keeps its own.
 
     Raises:
         MethodError: no file is given, it cannot be read, or it is of another network.
@@ -57,6 +61,9 @@ def load_weights(network: Module, path: str, method: str, published: str) -> Non
         )
     tensors = _tensors(Path(path), setting)
     expected = network.state_dict()
+    if optional and not any(name.endswith(optional) for name in tensors):
+        kept = {name: each for name, each in expected.items() if name.endswith(optional)}
+        tensors = {**tensors, **kept}
     _check(expected, tensors, path, setting)
     network.load_state_dict({name: tensors[name] for name in expected})
     network.eval()
