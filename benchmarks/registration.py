@@ -74,7 +74,7 @@ def parser() -> argparse.ArgumentParser:
     """What the command line takes."""
     result = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     result.add_argument("dataset", type=Path, help="with pairs, from 'nss pairs'")
-    result.add_argument("--method", action="append", default=[], help="default: all installed")
+    result.add_argument("--method", action="append", default=[], help="default: all that can run")
     result.add_argument("--split", default="all", help="its test pairs; default: all pairs")
     result.add_argument("--pairs", type=int, default=200, help="most pairs of each kind")
     result.add_argument("--apart", type=int, help="pairs that do not overlap; default: as --pairs")
@@ -155,7 +155,6 @@ def chosen_variants(arguments: argparse.Namespace, weights: Path) -> Iterator[Va
     """
     from nss_ros.batch.variant import Variant
     from nss_ros.dataset.perturbation import Perturbation
-    from nss_ros.registration.method import method_names
 
     common = (f"registration.seed={arguments.seed}", *arguments.set)
     wanted = [*arguments.vary, *(ABLATIONS if arguments.ablations else ())]
@@ -163,7 +162,7 @@ def chosen_variants(arguments: argparse.Namespace, weights: Path) -> Iterator[Va
     perturbations += [Perturbation(range_noise=m, seed=arguments.seed) for m in arguments.noise]
     perturbations += [Perturbation(floating=f, seed=arguments.seed) for f in arguments.floating]
     perturbations += [Perturbation(robot=True, seed=arguments.seed)] if arguments.robot else []
-    for method in arguments.method or method_names():
+    for method in arguments.method or usable_methods(common):
         yield Variant(method, common=common)
         for override in overrides_of(method, wanted):
             yield Variant(method, (override,), common=common)
@@ -171,6 +170,24 @@ def chosen_variants(arguments: argparse.Namespace, weights: Path) -> Iterator[Va
             yield from (replace(each, common=common) for each in parts_taken_away(weights))
         for perturbation in perturbations:
             yield Variant(method, perturbation=perturbation, common=common)
+
+
+def usable_methods(common: tuple[str, ...]) -> list[str]:
+    """The installed methods that have what they need; tells of the others."""
+    from nss_ros.batch.run import registration_config
+    from nss_ros.batch.variant import Variant
+    from nss_ros.errors import MethodError
+    from nss_ros.registration.method import load_method, method_names
+
+    usable = []
+    for method in method_names():
+        try:
+            load_method(registration_config(Variant(method, common=common).config(), method))
+        except MethodError as error:
+            print(f"{method} is left out: {error}", file=sys.stderr)
+        else:
+            usable.append(method)
+    return usable
 
 
 def parts_taken_away(folder: Path) -> Iterator[Variant]:

@@ -10,7 +10,7 @@ import yaml
 
 from nss_ros.cli.map import ConfigOption, SetOption
 from nss_ros.cli.output import print_json
-from nss_ros.config import load_config, write_config
+from nss_ros.config import LearnedConfig, RegistrationConfig, load_config, write_config
 from nss_ros.errors import InputError
 from nss_ros.multiway.synchronizer import synchronizer_names
 from nss_ros.registration.method import method_names
@@ -43,3 +43,9 @@ def methods(
         return
     for kind, names in found.items():
         print(f"{kind}: {', '.join(names)}")
+    learned = [name for name in found["registration"] if _needs_weights(name)]
+    print(f"Only with a checkpoint as registration.NAME.weights: {', '.join(learned)}")
+
+
+def _needs_weights(method: str) -> bool:
+    return isinstance(getattr(RegistrationConfig(), method, None), LearnedConfig)

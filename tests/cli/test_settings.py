@@ -1,4 +1,6 @@
-"""`nss config`: settings to be changed and given back."""
+"""`nss config` and `nss methods`."""
+
+import json
 
 import yaml
 from typer.testing import CliRunner
@@ -28,3 +30,11 @@ def test_settings_that_somebody_changed_are_not_overwritten(tmp_path):
     assert isinstance(result.exception, InputError)
     assert "exists already" in str(result.exception)
     assert file.read_text() == "registration: {method: fpfh_fgr}\n"
+
+
+def test_methods_are_listed_with_what_they_need():
+    lines = run("methods").output.splitlines()
+    assert "gravity" in lines[0]
+    assert "submaps" in lines[1]
+    assert lines[2].endswith(": d3feat, fcgf, geotransformer, predator")
+    assert "predator" in json.loads(run("methods", "--json").output)["registration"]
