@@ -160,7 +160,7 @@ class RegistrationConfig(Section):
     fpfh: FpfhConfig = FpfhConfig()
     kiss_matcher: KissMatcherConfig = KissMatcherConfig()
     fcgf: FcgfConfig = FcgfConfig()
-    d3feat: KPConvConfig = KPConvConfig()
+    d3feat: KPConvConfig = KPConvConfig(voxel_size=0.03)
     predator: KPConvConfig = KPConvConfig()
     geotransformer: KPConvConfig = KPConvConfig()
     icp: IcpConfig = IcpConfig()
