@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -55,9 +56,7 @@ class Pyramid:
         while len(levels) < _LEVELS:
             levels.append(levels[-1].coarser(2))
         within = [kernel_map(level, level, 3) for level in levels]
-        down = [
-            kernel_map(fine, coarse, 3) for fine, coarse in zip(levels, levels[1:], strict=False)
-        ]
+        down = [kernel_map(fine, coarse, 3) for fine, coarse in pairwise(levels)]
         up = [transposed(each, level) for each, level in zip(down, levels, strict=False)]
         return cls(kernel_map(voxels, voxels, first_size), within, down, up)
 
