@@ -14,14 +14,14 @@ from nss_ros.registration.learned.sparse_convolution import (
     transposed,
 )
 
-EDGE = 12
+# Half the edge of what is occupied, in voxels.
+HALF = 6
 
 
 def some_voxels(stride, seed=0):
     """Some voxels on both sides of the origin, in no order."""
     random = torch.Generator().manual_seed(seed)
-    half = EDGE // 2 // stride
-    grid = torch.arange(-half, half) * stride
+    grid = torch.arange(-HALF, HALF) * stride
     everywhere = torch.cartesian_prod(grid, grid, grid)
     order = torch.randperm(len(everywhere), generator=random)
     return Voxels(everywhere[order[: len(everywhere) // 4]], stride)
@@ -49,7 +49,7 @@ def test_offsets_are_numbered_with_x_fastest():
 def test_convolutions_are_those_of_a_dense_grid(size, stride, factor):
     fine = some_voxels(stride, size)
     coarse = fine if factor == 1 else fine.coarser(factor)
-    grid = DenseGrid(-EDGE, 2 * EDGE)
+    grid = DenseGrid(-2 * HALF * stride, 4 * HALF * stride)
     mapped = kernel_map(fine, coarse, size)
 
     features, kernel = some_features(len(fine), 3), some_kernel(size, 3, 4)
