@@ -1,4 +1,8 @@
-"""FCGF: a sparse convolutional network describes voxels (Choy, Park, Koltun, ICCV 2019)."""
+"""FCGF: a sparse convolutional network describes voxels (Choy, Park, Koltun, ICCV 2019).
+
+Descriptors are compared by direction: those of checkpoints trained without normalisation (two of
+the authors' for KITTI) are made unit too.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +78,7 @@ class Fcgf(LearnedMethod[FcgfFeatures]):
         )
 
     def _chosen(self, count: int) -> NDArray[np.int64]:
-        """A sample of points in ascending order, as the authors match (§5.1 there)."""
+        """A sample of points in ascending order; the authors match a random one."""
         most = self.settings.max_keypoints
         if count <= most:
             return np.arange(count)

@@ -1,4 +1,4 @@
-"""The network of FCGF: a sparse U-Net with residual blocks (Choy, Park, Koltun, ICCV 2019, §3).
+"""The network of FCGF: a sparse U-Net with residual blocks (Choy, Park, Koltun, ICCV 2019).
 
 It is what its authors call ResUNetBN2C. Modules and parameters are named as in their checkpoints.
 """
