@@ -16,16 +16,18 @@ from nss_ros.config.dataset import (
 from nss_ros.config.ground_truth import AlignmentConfig, RefinementConfig
 from nss_ros.config.loading import NssConfig, load_config, validated, write_config
 from nss_ros.config.run import (
+    D3FeatConfig,
     FcgfConfig,
     FpfhConfig,
+    GeoTransformerConfig,
     GravityConfig,
     IcpConfig,
     KissMatcherConfig,
-    KPConvConfig,
     LearnedConfig,
     MultiwayConfig,
     PlayerConfig,
     PoseGraphConfig,
+    PredatorConfig,
     ProposalConfig,
     RecorderConfig,
     RegistrationConfig,
@@ -37,13 +39,14 @@ from nss_ros.config.site import SiteConfig, WingConfig
 
 __all__ = [
     "AlignmentConfig",
+    "D3FeatConfig",
     "DatasetConfig",
     "FcgfConfig",
     "FpfhConfig",
+    "GeoTransformerConfig",
     "GraphConfig",
     "GravityConfig",
     "IcpConfig",
-    "KPConvConfig",
     "KissMatcherConfig",
     "LearnedConfig",
     "MultiwayConfig",
@@ -51,6 +54,7 @@ __all__ = [
     "PairConfig",
     "PlayerConfig",
     "PoseGraphConfig",
+    "PredatorConfig",
     "ProposalConfig",
     "RecorderConfig",
     "RefinementConfig",

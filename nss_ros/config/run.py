@@ -101,13 +101,18 @@ class LearnedConfig(Section):
     device: Literal["auto", "cpu", "cuda"] = Field(
         "auto", description="Where the network runs; auto: on a GPU if there is one"
     )
-    max_keypoints: int = Field(5000, gt=0, description="Described points kept for matching")
     inlier_distance: Positive = Field(
         0.15, description="Correspondences closer than this agree, metres"
     )
 
 
-class FcgfConfig(LearnedConfig):
+class DescriptorConfig(LearnedConfig):
+    """A learned baseline whose descriptors are matched."""
+
+    max_keypoints: int = Field(5000, gt=0, description="Described points kept for matching")
+
+
+class FcgfConfig(DescriptorConfig):
     """FCGF (Choy et al. 2019)."""
 
     voxel_size: Positive = Field(
@@ -115,8 +120,24 @@ class FcgfConfig(LearnedConfig):
     )
 
 
-class KPConvConfig(LearnedConfig):
-    """A network of kernel point convolutions."""
+class D3FeatConfig(DescriptorConfig):
+    """D3Feat (Bai et al. 2020)."""
+
+    voxel_size: Positive = Field(
+        0.03, description="First voxel size by which the weights were trained, metres"
+    )
+
+
+class PredatorConfig(DescriptorConfig):
+    """Predator (Huang et al. 2021)."""
+
+    voxel_size: Positive = Field(
+        0.025, description="First voxel size by which the weights were trained, metres"
+    )
+
+
+class GeoTransformerConfig(LearnedConfig):
+    """GeoTransformer (Qin et al. 2022)."""
 
     voxel_size: Positive = Field(
         0.025, description="First voxel size by which the weights were trained, metres"
@@ -160,9 +181,9 @@ class RegistrationConfig(Section):
     fpfh: FpfhConfig = FpfhConfig()
     kiss_matcher: KissMatcherConfig = KissMatcherConfig()
     fcgf: FcgfConfig = FcgfConfig()
-    d3feat: KPConvConfig = KPConvConfig(voxel_size=0.03)
-    predator: KPConvConfig = KPConvConfig()
-    geotransformer: KPConvConfig = KPConvConfig()
+    d3feat: D3FeatConfig = D3FeatConfig()
+    predator: PredatorConfig = PredatorConfig()
+    geotransformer: GeoTransformerConfig = GeoTransformerConfig()
     icp: IcpConfig = IcpConfig()
 
 

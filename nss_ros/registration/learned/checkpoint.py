@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
+from zipfile import ZipFile, is_zipfile
 
 import torch
 from safetensors.torch import load_file
@@ -53,27 +54,62 @@ def load_weights(
     Raises:
         MethodError: no file is given, it cannot be read, or it is of another network.
     """
-    setting = f"registration.{method}.weights"
+    fill(network, read_weights(path, method, published), path, method, optional)
+
+
+def read_weights(path: str, method: str, published: str) -> dict[str, Tensor]:
+    """The tensors of a checkpoint by name, for a network that is made by their shapes.
+
+    Args:
+        path: file of the checkpoint (`.pth`, `.pth.tar`, `.tar` or `.safetensors`).
+        method: registered name, under which the file is configured.
+        published: where the authors publish their checkpoints.
+
+    Raises:
+        MethodError: no file is given, or it cannot be read.
+    """
+    setting = _setting(method)
     if not path:
         raise MethodError(
             f"Method '{method}' needs trained weights: set {setting} to a checkpoint of its "
             f"authors' ({published}) or of your own."
         )
-    tensors = _tensors(Path(path), setting)
+    return _tensors(Path(path), setting)
+
+
+def fill(
+    network: Module, tensors: Mapping[str, Tensor], path: str, method: str, optional: str = ""
+) -> None:
+    """Fill a network with tensors of a checkpoint and make it ready for use (`eval`).
+
+    Args:
+        network: as of `load_weights`.
+        tensors: by name.
+        path: file that they are of.
+        method: registered name, under which the file is configured.
+        optional: as of `load_weights`.
+
+    Raises:
+        MethodError: they are of another network, or not finite.
+    """
     expected = network.state_dict()
     if optional and not any(name.endswith(optional) for name in tensors):
         kept = {name: each for name, each in expected.items() if name.endswith(optional)}
         tensors = {**tensors, **kept}
-    _check(expected, tensors, path, setting)
+    _check(expected, tensors, path, _setting(method))
     network.load_state_dict({name: tensors[name] for name in expected})
     network.eval()
     network.requires_grad_(False)
 
 
+def _setting(method: str) -> str:
+    return f"registration.{method}.weights"
+
+
 def _check(
     expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor], path: str, setting: str
 ) -> None:
-    """That a file has exactly the tensors of a network."""
+    """That a file has exactly the tensors of a network, of finite numbers."""
     wrong = [
         *(f"'{name}' is missing" for name in expected if name not in tensors),
         *(f"'{name}' is not of this network" for name in tensors if name not in expected),
@@ -90,15 +126,16 @@ def _check(
         raise MethodError(
             f"{path} holds weights of another network ({shown}): set {setting} to another file."
         )
+    broken = next((name for name in expected if not tensors[name].isfinite().all()), None)
+    if broken is not None:
+        raise MethodError(
+            f"{path} holds numbers that are not finite ('{broken}'): set {setting} to another file."
+        )
 
 
 def _tensors(path: Path, setting: str) -> dict[str, Tensor]:
     try:
-        if path.suffix == ".safetensors":
-            return load_file(path)
-        content = torch.load(
-            path, map_location="cpu", weights_only=False, pickle_module=_TensorsOnly
-        )
+        content = load_file(path) if path.suffix == ".safetensors" else _unpickled(path)
     except FileNotFoundError as error:
         raise MethodError(f"There is no file {path}: set {setting} to a checkpoint.") from error
     except Exception as error:
@@ -108,14 +145,28 @@ def _tensors(path: Path, setting: str) -> dict[str, Tensor]:
     return _state(content, path, setting)
 
 
+def _unpickled(path: Path) -> Any:
+    """What a file of `torch.save` holds, of which nothing but tensors and containers is made."""
+    if is_zipfile(path):
+        with ZipFile(path) as archive:
+            # `torch.load` would hand a program to TorchScript, which runs parts of it.
+            if any(PurePosixPath(name).name == "constants.pkl" for name in archive.namelist()):
+                raise ValueError("it is a TorchScript program")
+    return torch.load(path, map_location="cpu", weights_only=False, pickle_module=_TensorsOnly)
+
+
 def _state(content: Any, path: Path, setting: str) -> dict[str, Tensor]:
     """The tensors of a network, which checkpoints keep beside other things."""
     for holder in _HOLDERS:
         if isinstance(content, Mapping) and isinstance(content.get(holder), Mapping):
             content = content[holder]
-    if not isinstance(content, Mapping) or not content:
+    tensors = (
+        {str(name): each for name, each in content.items() if isinstance(each, Tensor)}
+        if isinstance(content, Mapping)
+        else {}
+    )
+    if not tensors:
         raise MethodError(f"{path} holds no weights: set {setting} to a checkpoint.")
-    tensors = {str(name): each for name, each in content.items() if isinstance(each, Tensor)}
     if all(name.startswith("module.") for name in tensors):  # saved from several GPUs
         tensors = {name.removeprefix("module."): each for name, each in tensors.items()}
     return tensors

@@ -72,7 +72,7 @@ class D3Feat(LearnedMethod[D3FeatFeatures]):
         levels = pyramid([points], voxel_size, RADIUS * voxel_size, LIMITS[:DEPTH], self._device)
         with torch.inference_mode():
             descriptors, scores = self._network(levels)
-        order = np.argsort(-scores.cpu().numpy(), kind="stable")[: self.settings.max_keypoints]
+        order = np.argsort(-scores.cpu().numpy(), kind="stable")[: self.config.d3feat.max_keypoints]
         keypoints = points[order]
         return Described(
             keypoints,

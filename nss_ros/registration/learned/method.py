@@ -41,15 +41,10 @@ Features = TypeVar("Features", bound=FragmentSurface)
 
 
 class LearnedMethod(CorrespondenceMethod[Features]):
-    """A network describes points; RANSAC finds the transforms on which their matches agree.
-
-    Attributes:
-        settings: of the method.
-    """
+    """A network describes points; RANSAC finds the transforms on which their matches agree."""
 
     def __init__(self, config: RegistrationConfig, settings: LearnedConfig) -> None:
         super().__init__(config)
-        self.settings = settings
         self.inlier_distance = settings.inlier_distance
         if torch.get_num_threads() != 1:  # pairs are what is done in parallel
             torch.set_num_threads(1)

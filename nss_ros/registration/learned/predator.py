@@ -86,7 +86,7 @@ class Predator(LearnedMethod[PredatorFeatures]):
         scores: Tensor,
         random: np.random.Generator,
     ) -> Described:
-        chosen = drawn(scores.cpu().numpy(), self.settings.max_keypoints, random)
+        chosen = drawn(scores.cpu().numpy(), self.config.predator.max_keypoints, random)
         keypoints = features.dense[chosen]
         return Described(
             keypoints,
