@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 import torch
-from conftest import room
+from furnished_room import room
 
 from nss_ros.registration.learned.kernel_point_network import LIMITS, RADIUS
 from nss_ros.registration.learned.kernel_points import KernelPointConvolution

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import torch
-from conftest import room
 from dense_grid import DenseGrid, dense_convolution, dense_transposed_convolution
+from furnished_room import room
 
 from nss_ros.registration.learned.res_unet import LARGEST_STRIDE, Pyramid, ResUNet, sizes
 from nss_ros.registration.learned.sparse_convolution import Voxels
