@@ -51,9 +51,7 @@ class Rigid(NamedTuple):
 
     def take(self, index: Tensor) -> Rigid:
         """Those of an index (k,)."""
-        return Rigid(
-            self.rotation.index_select(0, index), self.translation.index_select(0, index)
-        )
+        return Rigid(self.rotation.index_select(0, index), self.translation.index_select(0, index))
 
     def scaled(self, factor: float) -> Rigid:
         """The same in another unit of length."""
@@ -83,9 +81,7 @@ def exponential(twists: Tensor) -> Rigid:
     twice = cross @ cross
     unit = torch.eye(3).to(twists)
     jacobian = unit + second * cross + third * twice
-    return Rigid(
-        unit + first * cross + second * twice, torch.einsum("nij,nj->ni", jacobian, rho)
-    )
+    return Rigid(unit + first * cross + second * twice, torch.einsum("nij,nj->ni", jacobian, rho))
 
 
 def _cross(vectors: Tensor) -> Tensor:

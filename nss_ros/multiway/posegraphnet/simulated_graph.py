@@ -174,7 +174,8 @@ class _Aliases:
         """The wrong `T_target_source` of a pair."""
         key = (pair.source.stage, pair.target.stage)
         group = self._groups[min(pair.source, pair.target)]
-        moved = self._moved[(*sorted(key), group)]
+        low, high = sorted(key)
+        moved = self._moved[low, high, group]
         if key[0] > key[1]:
             moved = inverse(moved)
         return relative(moved @ self._poses[pair.source], self._poses[pair.target])

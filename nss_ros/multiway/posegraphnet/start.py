@@ -17,14 +17,19 @@ from nss_ros.multiway.spanning_tree import Closeness, Poses, components, spannin
 from nss_ros.multiway.triangles import triangle_support
 
 
-def graph_tensors(members: Sequence[FragmentId], measurements: Sequence[Measurement]) -> GraphTensors:
+def graph_tensors(
+    members: Sequence[FragmentId], measurements: Sequence[Measurement]
+) -> GraphTensors:
     """Measurements between the members as one graph, float64, metres."""
     index = {id_: i for i, id_ in enumerate(members)}
     ends = np.array([(index[m.pair.source], index[m.pair.target]) for m in measurements])
     source, target = torch.from_numpy(ends.reshape(-1, 2).T.copy())
     matrices = np.array([m.T_target_source for m in measurements]).reshape(-1, 4, 4)
     return GraphTensors(
-        source, target, Rigid.of(torch.from_numpy(matrices)), torch.zeros(len(members), dtype=torch.int64)
+        source,
+        target,
+        Rigid.of(torch.from_numpy(matrices)),
+        torch.zeros(len(members), dtype=torch.int64),
     )
 
 

@@ -55,18 +55,28 @@ def load_weights(network: Module, path: str, method: str, published: str) -> Non
             f"Method '{method}' needs trained weights: set {setting} to a checkpoint of its "
             f"authors' ({published}) or of your own."
         )
-    tensors = _tensors(Path(path), setting)
+    tensors = read_tensors(Path(path), setting)
     expected = network.state_dict()
-    _check(expected, tensors, path, setting)
+    check_tensors(expected, tensors, path, setting)
     network.load_state_dict({name: tensors[name] for name in expected})
     network.eval()
     network.requires_grad_(False)
 
 
-def _check(
+def check_tensors(
     expected: Mapping[str, Tensor], tensors: Mapping[str, Tensor], path: str, setting: str
 ) -> None:
-    """That a file has exactly the tensors of a network."""
+    """Check that a file has exactly the tensors of a network.
+
+    Args:
+        expected: those of the network.
+        tensors: those of the file.
+        path: its name.
+        setting: under which it is configured.
+
+    Raises:
+        MethodError: it has others.
+    """
     wrong = [
         *(f"'{name}' is missing" for name in expected if name not in tensors),
         *(f"'{name}' is not of this network" for name in tensors if name not in expected),
@@ -85,7 +95,16 @@ def _check(
         )
 
 
-def _tensors(path: Path, setting: str) -> dict[str, Tensor]:
+def read_tensors(path: Path, setting: str) -> dict[str, Tensor]:
+    """The tensors of a checkpoint by name.
+
+    Args:
+        path: its file.
+        setting: under which the file is configured.
+
+    Raises:
+        MethodError: there is no such file, or it is not a checkpoint.
+    """
     try:
         if path.suffix == ".safetensors":
             return load_file(path)
