@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from nss_ros.fragment import FragmentId, FragmentPair
-from nss_ros.geometry import Transform, exponential, from_rotation, from_yaw, inverse, relative
+from nss_ros.geometry import Transform, from_rotation, from_yaw, inverse, relative
 from nss_ros.multiway.pose_graph import Measurement
 from nss_ros.multiway.spanning_tree import Poses
 
@@ -35,8 +35,8 @@ class GraphSettings:
         right_within: share of right transforms among pairs of one stage.
         right_across: share of right transforms among pairs of different stages.
         aliased: share of aliases among the wrong ones.
-        noise_translation: standard deviation of right ones along each axis, metres.
-        noise_rotation: about the vertical, degrees; half of it about the others.
+        noise_translation: how far measurements are off, root mean square, metres ...
+        noise_rotation: ... and turned about the vertical, degrees; half of it about the others.
         tilted: probability that the random ones of a graph are not level.
     """
 
@@ -81,7 +81,7 @@ def simulated_graph(rng: np.random.Generator, settings: GraphSettings) -> Simula
     tilted = bool(rng.random() < settings.tilted)
     deviation = rng.uniform(*settings.noise_translation)
     turning = np.radians(rng.uniform(*settings.noise_rotation))
-    spread = np.array([deviation] * 3 + [turning / 2] * 2 + [turning])
+    spread = np.array([deviation / np.sqrt(3)] * 3 + [turning / 2] * 2 + [turning])
     measurements = []
     for pair, is_right in zip(pairs, right, strict=True):
         found = relative(poses[pair.source], poses[pair.target])
@@ -89,12 +89,11 @@ def simulated_graph(rng: np.random.Generator, settings: GraphSettings) -> Simula
             found = aliases.of(pair)
         elif not is_right:
             found = _anywhere(rng, tilted)
-        noise = exponential(rng.normal(0, spread))
         confidence = rng.uniform(0.2, 1.0) if is_right else rng.uniform(0.0, 0.9)
         measurements.append(
             Measurement(
                 pair,
-                noise @ found,
+                _noisy(found, rng.normal(0, spread)),
                 np.diag(spread**-2.0),
                 confidence=float(confidence),
                 inliers=1000,
@@ -197,6 +196,12 @@ def _alias(rng: np.random.Generator, centre: NDArray[np.float64]) -> Transform:
     yaw = float(rng.choice((np.pi, np.pi / 2, -np.pi / 2)))
     there = from_yaw(0.0, centre)
     return there @ from_yaw(yaw, np.zeros(3)) @ inverse(there)
+
+
+def _noisy(transform: Transform, noise: NDArray[np.float64]) -> Transform:
+    """A transform, shifted and turned in place."""
+    turned = Rotation.from_rotvec(noise[3:]) * Rotation.from_matrix(transform[:3, :3])
+    return from_rotation(turned, transform[:3, 3] + noise[:3])
 
 
 def _anywhere(rng: np.random.Generator, tilted: bool) -> Transform:

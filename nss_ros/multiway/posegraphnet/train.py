@@ -18,9 +18,9 @@ import torch
 from nss_ros.cli.progress import progress_bar
 from nss_ros.config import MultiwayConfig
 from nss_ros.errors import NssError
-from nss_ros.multiway.posegraphnet.network import PUBLISHED_STEPS, SynchronizationNetwork
+from nss_ros.multiway.posegraphnet.network import SynchronizationNetwork
 from nss_ros.multiway.posegraphnet.simulated_graph import GraphSettings, simulated_graph
-from nss_ros.multiway.posegraphnet.training import Lesson, TrainingConfig, lesson, train
+from nss_ros.multiway.posegraphnet.training import Lesson, TrainingConfig, calm, lesson, train
 from nss_ros.multiway.posegraphnet.weights import Usage, save_weights
 from nss_ros.multiway.spanning_tree import Closeness
 
@@ -33,12 +33,15 @@ def main() -> None:
     """Train and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--graphs", type=int, default=3000, help="that are drawn")
+    parser.add_argument("--graphs", type=int, default=2500, help="that are drawn")
     parser.add_argument("--steps", type=int, default=6000, help="of the optimiser")
     parser.add_argument("--batch", type=int, default=8, help="graphs in a step")
     parser.add_argument("--width", type=int, default=64, help="of the hidden layers")
     parser.add_argument("--learning-rate", type=float, default=1e-3, help="the largest one")
-    parser.add_argument("--rounds", type=int, default=1, help="of the network in use")
+    parser.add_argument(
+        "--network-steps", type=int, default=6, help="from blank features on, in a round"
+    )
+    parser.add_argument("--rounds", type=int, default=3, help="of the network, each after another")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     try:
@@ -53,9 +56,12 @@ def fit(arguments: argparse.Namespace) -> None:
     torch.set_num_threads(1)
     torch.manual_seed(arguments.seed)
     network = SynchronizationNetwork(arguments.width)
+    calm(network)
     settings = TrainingConfig(
         steps=arguments.steps,
         batch=arguments.batch,
+        network_steps=arguments.network_steps,
+        rounds=arguments.rounds,
         learning_rate=arguments.learning_rate,
         seed=arguments.seed,
     )
@@ -69,7 +75,9 @@ def fit(arguments: argparse.Namespace) -> None:
             mean = float(np.mean(losses[-_REPORTED:]))
             bar.update(task, completed=len(losses), description=f"network, loss {mean:.3f}")
     print(f"loss {np.mean(losses[:_REPORTED]):.3f} at first, {np.mean(losses[-_REPORTED:]):.3f}")
-    save_weights(arguments.output, network, Usage("tree", PUBLISHED_STEPS, arguments.rounds))
+    save_weights(
+        arguments.output, network, Usage("tree", arguments.network_steps, arguments.rounds)
+    )
 
 
 def drawn_lesson(seed: int, number: int) -> Lesson:
