@@ -33,11 +33,11 @@ def main() -> None:
     """Train and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--graphs", type=int, default=2500, help="that are drawn")
-    parser.add_argument("--steps", type=int, default=6000, help="of the optimiser")
+    parser.add_argument("--graphs", type=int, default=1200, help="that are drawn")
+    parser.add_argument("--steps", type=int, default=3000, help="of the optimiser")
     parser.add_argument("--batch", type=int, default=8, help="graphs in a step")
     parser.add_argument("--width", type=int, default=64, help="of the hidden layers")
-    parser.add_argument("--learning-rate", type=float, default=1e-3, help="the largest one")
+    parser.add_argument("--learning-rate", type=float, default=1.5e-3, help="the largest one")
     parser.add_argument(
         "--network-steps", type=int, default=6, help="from blank features on, in a round"
     )
@@ -65,19 +65,18 @@ def fit(arguments: argparse.Namespace) -> None:
         learning_rate=arguments.learning_rate,
         seed=arguments.seed,
     )
+    usage = Usage("tree", arguments.network_steps, arguments.rounds)
     with progress_bar() as bar:
         numbers = bar.track(range(arguments.graphs), description="graphs")
         lessons = [drawn_lesson(arguments.seed, number) for number in numbers]
         task = bar.add_task("network", total=settings.steps)
-        losses = []
+        losses: list[float] = []
         for loss in train(network, lessons, settings):
             losses.append(loss)
-            mean = float(np.mean(losses[-_REPORTED:]))
-            bar.update(task, completed=len(losses), description=f"network, loss {mean:.3f}")
-    print(f"loss {np.mean(losses[:_REPORTED]):.3f} at first, {np.mean(losses[-_REPORTED:]):.3f}")
-    save_weights(
-        arguments.output, network, Usage("tree", arguments.network_steps, arguments.rounds)
-    )
+            bar.update(task, completed=len(losses))
+            if len(losses) % _REPORTED == 0 or len(losses) == settings.steps:
+                save_weights(arguments.output, network, usage)
+                print(f"step {len(losses)}: loss {np.mean(losses[-_REPORTED:]):.3f}", flush=True)
 
 
 def drawn_lesson(seed: int, number: int) -> Lesson:
