@@ -24,6 +24,7 @@ setup(
         "nss_ros": [
             "py.typed",
             "interfaces/*.msg",
+            "multiway/posegraphnet/*.safetensors",
             "registration/gravity/*.safetensors",
             "simulation/sites/*.yaml",
             "benchmark/paper.yaml",
@@ -91,7 +92,7 @@ setup(
         "nss_ros.synchronizers": [
             "choi = nss_ros.multiway.choi:Choi",
             "submaps = nss_ros.multiway.submaps:Submaps",
-            "posegraphnet = nss_ros.multiway.posegraphnet:PoseGraphNet",
+            "posegraphnet = nss_ros.multiway.posegraphnet.method:PoseGraphNet",
         ],
     },
 )

@@ -236,6 +236,10 @@ class MultiwayConfig(Section):
         "",
         description="File of trained weights of gravity by which submaps are registered; empty: those that come with the package",
     )
+    posegraphnet_weights: str = Field(
+        "",
+        description="File of trained weights of posegraphnet, ours or its authors'; empty: those that come with the package",
+    )
     find_standpoints: bool = Field(
         True,
         description="Submaps: look for the scanner's place where the origin of a levelled fragment cannot be it, and set tilted ones upright; false: frames are taken as they are",

@@ -10,33 +10,23 @@ zero for a flip by 180 degrees.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nss_ros.config import MultiwayConfig
 from nss_ros.fragment import FragmentId
-from nss_ros.geometry import (
-    Matrix,
-    Transform,
-    adjoint,
-    inverse,
-    relative,
-    rotation_angle,
-    tilt_angle,
-)
+from nss_ros.geometry import Matrix, Transform, adjoint, inverse
 from nss_ros.multiway.agglomeration import joined_parts
-from nss_ros.multiway.covariance import pose_covariances
 from nss_ros.multiway.hypotheses import fitting_hypothesis
-from nss_ros.multiway.pose_graph import (
-    Edge,
-    EdgeStatus,
-    Measurement,
-    Node,
-    NodeStatus,
-    PoseGraph,
+from nss_ros.multiway.judged_edge import (
+    JudgedEdge,
+    contradiction,
+    judged_edges,
+    judged_graph,
+    relative_of,
 )
+from nss_ros.multiway.pose_graph import Measurement, PoseGraph
 from nss_ros.multiway.spanning_tree import (
     Closeness,
     Poses,
@@ -82,7 +72,7 @@ class Choi:
             would not keep the part together.
         """
         inside = [m for m in measurements if m.pair.source in part and m.pair.target in part]
-        agreeing = [fitting_hypothesis(m, _relative(m, part), self.close) for m in inside]
+        agreeing = [fitting_hypothesis(m, relative_of(m, part), self.close) for m in inside]
         graph = self.synchronize(sorted(part), [m for m in agreeing if m is not None], part)
         placed = graph.poses()
         if len(placed) < len(part) or any(node.component for node in placed.values()):
@@ -108,8 +98,7 @@ class Choi:
                 a frame of its own.
         """
         ids = sorted(set(fragments))
-        edges = [_Judged(m) for m in sorted(measurements, key=canonical)]
-        self._reject_at_once(edges, set(ids))
+        edges = judged_edges(ids, measurements, self._config)
         known = start or {}
         if start is None and (parts or self._config.start == "evidence"):
             known = self._join(ids, edges, parts)
@@ -120,23 +109,12 @@ class Choi:
             if not self._judge(edges, poses):
                 break
         self._reject_bridges(ids, edges)
-        edges += [_Judged(m, False, reason, weight=0.0) for m, reason in rejected]
-        return _graph(ids, edges, poses, self.name)
+        edges += [JudgedEdge(m, False, reason, weight=0.0) for m, reason in rejected]
+        return judged_graph(ids, edges, poses, self.name)
 
-    def _reject_at_once(self, edges: list[_Judged], known: set[FragmentId]) -> None:
-        limit = np.deg2rad(self._config.max_tilt)
-        for edge in edges:
-            m = edge.measurement
-            if m.pair.source not in known or m.pair.target not in known:
-                edge.reject("unknown fragment")
-            elif m.manual:
-                continue
-            elif m.confidence < self._config.min_confidence:
-                edge.reject(f"confidence {m.confidence:.2f} is below min_confidence")
-            elif m.level and (tilt := tilt_angle(m.T_target_source)) > limit:
-                edge.reject(f"tilts levelled fragments by {np.rad2deg(tilt):.1f} deg")
-
-    def _join(self, ids: list[FragmentId], edges: list[_Judged], known: Sequence[Poses]) -> Poses:
+    def _join(
+        self, ids: list[FragmentId], edges: list[JudgedEdge], known: Sequence[Poses]
+    ) -> Poses:
         """Poses by which the pairs agree; their edges get the hypothesis that fits them."""
         close = self.close
         measurements = [edge.measurement for edge in edges if edge.accepted]
@@ -150,14 +128,14 @@ class Choi:
             if part[m.pair.source] != part[m.pair.target]:
                 edge.reject("too little speaks for joining the parts of the map that it links")
                 continue
-            fitting = fitting_hypothesis(m, _relative(m, poses), close)
+            fitting = fitting_hypothesis(m, relative_of(m, poses), close)
             if fitting is None:
                 edge.reject("none of its hypotheses agrees with the others")
             else:
                 edge.measurement = fitting
         return poses
 
-    def _count_support(self, edges: list[_Judged]) -> None:
+    def _count_support(self, edges: list[JudgedEdge]) -> None:
         accepted = [edge for edge in edges if edge.accepted]
         close = self.close
         support = triangle_support(
@@ -166,7 +144,7 @@ class Choi:
         for edge, count in zip(accepted, support, strict=True):
             edge.support = int(count)
 
-    def _optimise(self, ids: list[FragmentId], edges: list[_Judged], known: Poses) -> Poses:
+    def _optimise(self, ids: list[FragmentId], edges: list[JudgedEdge], known: Poses) -> Poses:
         """Poses of every fragment, each component in the frame of its first one.
 
         Args:
@@ -186,18 +164,20 @@ class Choi:
             poses |= self._line_process(members, own, start)
         return poses
 
-    def _tree(self, members: list[FragmentId], edges: list[_Judged]) -> Poses:
+    def _tree(self, members: list[FragmentId], edges: list[JudgedEdge]) -> Poses:
         ranks = np.array([self._rank(edge) for edge in edges])
         votes = self.close if self._config.start == "triangles" else None
         return spanning_tree_poses(members, [edge.measurement for edge in edges], ranks, votes)
 
-    def _rank(self, edge: _Judged) -> tuple[float, ...]:
+    def _rank(self, edge: JudgedEdge) -> tuple[float, ...]:
         m = edge.measurement
         if self._config.start == "confidence":
             return (float(m.manual), m.confidence, float(m.inliers))
         return (float(m.manual), float(edge.support), m.confidence)
 
-    def _line_process(self, members: list[FragmentId], edges: list[_Judged], start: Poses) -> Poses:
+    def _line_process(
+        self, members: list[FragmentId], edges: list[JudgedEdge], start: Poses
+    ) -> Poses:
         import open3d as o3d
 
         registration = o3d.pipelines.registration
@@ -236,7 +216,7 @@ class Choi:
         self._weigh(edges, information, poses)
         return anchored(poses, members[0])
 
-    def _weigh(self, edges: list[_Judged], information: list[Matrix], poses: Poses) -> None:
+    def _weigh(self, edges: list[JudgedEdge], information: list[Matrix], poses: Poses) -> None:
         """Line-process weights at the optimum (Choi et al., section 5)."""
         scale = (
             self._config.preference
@@ -245,25 +225,21 @@ class Choi:
         )
         for edge, matrix in zip(edges, information, strict=True):
             m = edge.measurement
-            error = inverse(m.T_target_source) @ _relative(m, poses)
+            error = inverse(m.T_target_source) @ relative_of(m, poses)
             twist = np.concatenate((error[:3, 3], _linearised_rotation(error)))
             edge.weight = (
                 1.0 if m.manual else float((scale / (scale + twist @ matrix @ twist)) ** 2)
             )
 
-    def _judge(self, edges: list[_Judged], poses: Poses) -> bool:
+    def _judge(self, edges: list[JudgedEdge], poses: Poses) -> bool:
         """Reject the edges that the poses contradict; whether there were any."""
         rejected = False
-        limit = np.deg2rad(self._config.loop_rotation)
         for edge in edges:
             m = edge.measurement
             if not edge.accepted or m.manual:
                 continue
-            translation, rotation = _residual(m, poses)
-            if translation > self._config.loop_translation or rotation > limit:
-                edge.reject(
-                    f"contradicts the others by {translation:.2f} m, {np.rad2deg(rotation):.1f} deg"
-                )
+            if reason := contradiction(m, poses, self.close):
+                edge.reject(reason)
             elif edge.weight < self._config.prune_threshold:
                 edge.reject(f"line process {edge.weight:.2f} is below prune_threshold")
             else:
@@ -271,7 +247,7 @@ class Choi:
             rejected = True
         return rejected
 
-    def _reject_bridges(self, ids: list[FragmentId], edges: list[_Judged]) -> None:
+    def _reject_bridges(self, ids: list[FragmentId], edges: list[JudgedEdge]) -> None:
         """Reject edges that link two parts of the map with nothing to confirm them."""
         doubtful = [
             edge
@@ -286,25 +262,6 @@ class Choi:
             pair = edge.measurement.pair
             if not any(pair.source in c and pair.target in c for c in components(ids, rest)):
                 edge.reject("no loop confirms it, and its confidence is below bridge_confidence")
-
-
-@dataclass(slots=True)
-class _Judged:
-    """A measurement and what became of it."""
-
-    measurement: Measurement
-    accepted: bool = True
-    reason: str = ""
-    support: int = 0
-    weight: float = 1.0
-
-    def reject(self, reason: str) -> None:
-        self.accepted, self.reason, self.weight = False, reason, 0.0
-
-
-def canonical(m: Measurement) -> tuple[object, ...]:
-    """By which measurements are sorted, so that their order on arrival does not matter."""
-    return (m.pair, m.manual, m.T_target_source.tobytes())
 
 
 def _correspondence_information(measurements: Iterable[Measurement]) -> list[Matrix]:
@@ -329,59 +286,4 @@ def _linearised_rotation(error: Transform) -> NDArray[np.float64]:
     return (
         np.array([error[2, 1] - error[1, 2], error[0, 2] - error[2, 0], error[1, 0] - error[0, 1]])
         / 2
-    )
-
-
-def _relative(m: Measurement, poses: Poses) -> Transform:
-    return relative(poses[m.pair.source], poses[m.pair.target])
-
-
-def _residual(m: Measurement, poses: Poses) -> tuple[float, float]:
-    """Distance (m) and angle (rad) between measured and optimised `T_target_source`."""
-    error = inverse(m.T_target_source) @ _relative(m, poses)
-    return float(np.linalg.norm(error[:3, 3])), rotation_angle(error)
-
-
-def _graph(ids: list[FragmentId], edges: list[_Judged], poses: Poses, name: str) -> PoseGraph:
-    accepted = [edge.measurement for edge in edges if edge.accepted]
-    nodes: list[Node] = []
-    component: dict[FragmentId, int] = {}
-    for number, members in enumerate(components(ids, accepted)):
-        component |= dict.fromkeys(members, number)
-        if len(members) == 1:
-            nodes.append(Node(members[0]))
-            continue
-        own = anchored({id_: poses[id_] for id_ in members}, members[0])
-        inside = [m for m in accepted if component.get(m.pair.source) == number]
-        covariances = pose_covariances(members, inside, own)
-        nodes += [
-            Node(id_, own[id_], NodeStatus.PLACED, number, covariances[id_]) for id_ in members
-        ]
-    nodes.sort(key=lambda node: node.id)
-    placed = {node.id for node in nodes if node.status is NodeStatus.PLACED}
-    return PoseGraph(
-        tuple(nodes),
-        tuple(_edge(edge, component, placed, poses) for edge in edges),
-        synchronizer=name,
-    )
-
-
-def _edge(
-    edge: _Judged, component: dict[FragmentId, int], placed: set[FragmentId], poses: Poses
-) -> Edge:
-    m = edge.measurement
-    ends = (m.pair.source, m.pair.target)
-    together = all(id_ in placed for id_ in ends) and component[ends[0]] == component[ends[1]]
-    translation, rotation = _residual(m, poses) if together else (float("nan"), float("nan"))
-    return Edge(
-        m.pair,
-        m.T_target_source,
-        m.kind,
-        EdgeStatus.ACCEPTED if edge.accepted else EdgeStatus.REJECTED,
-        edge.reason,
-        residual_translation=translation,
-        residual_rotation=rotation,
-        weight=edge.weight,
-        covariance=np.asarray(np.linalg.inv(m.information)),
-        inliers=m.inliers,
     )

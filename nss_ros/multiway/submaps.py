@@ -16,9 +16,10 @@ import torch
 from nss_ros.config import GravityConfig, MultiwayConfig, RegistrationConfig
 from nss_ros.fragment import Fragment, FragmentId
 from nss_ros.geometry import relative
-from nss_ros.multiway.choi import Choi, canonical
+from nss_ros.multiway.choi import Choi
 from nss_ros.multiway.closures import SUBMAP_CONFIDENCE, closures, decided
 from nss_ros.multiway.hypotheses import fitting_hypothesis
+from nss_ros.multiway.judged_edge import canonical
 from nss_ros.multiway.known import known_by
 from nss_ros.multiway.pose_graph import Measurement, PoseGraph
 from nss_ros.multiway.settling import settled

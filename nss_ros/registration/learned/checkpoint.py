@@ -54,7 +54,8 @@ def load_weights(
     Raises:
         MethodError: no file is given, it cannot be read, or it is of another network.
     """
-    fill(network, read_weights(path, method, published), path, method, optional)
+    tensors = read_weights(path, method, published)
+    fill(network, tensors, path, weights_setting(method), optional)
 
 
 def read_weights(path: str, method: str, published: str) -> dict[str, Tensor]:
@@ -68,17 +69,17 @@ def read_weights(path: str, method: str, published: str) -> dict[str, Tensor]:
     Raises:
         MethodError: no file is given, or it cannot be read.
     """
-    setting = _setting(method)
+    setting = weights_setting(method)
     if not path:
         raise MethodError(
             f"Method '{method}' needs trained weights: set {setting} to a checkpoint of its "
             f"authors' ({published}) or of your own."
         )
-    return _tensors(Path(path), setting)
+    return read_tensors(Path(path), setting)
 
 
 def fill(
-    network: Module, tensors: Mapping[str, Tensor], path: str, method: str, optional: str = ""
+    network: Module, tensors: Mapping[str, Tensor], path: str, setting: str, optional: str = ""
 ) -> None:
     """Fill a network with tensors of a checkpoint and make it ready for use (`eval`).
 
@@ -86,7 +87,7 @@ def fill(
         network: as of `load_weights`.
         tensors: by name.
         path: file that they are of.
-        method: registered name, under which the file is configured.
+        setting: under which the file is configured.
         optional: as of `load_weights`.
 
     Raises:
@@ -96,13 +97,14 @@ def fill(
     if optional and not any(name.endswith(optional) for name in tensors):
         kept = {name: each for name, each in expected.items() if name.endswith(optional)}
         tensors = {**tensors, **kept}
-    _check(expected, tensors, path, _setting(method))
+    _check(expected, tensors, path, setting)
     network.load_state_dict({name: tensors[name] for name in expected})
     network.eval()
     network.requires_grad_(False)
 
 
-def _setting(method: str) -> str:
+def weights_setting(method: str) -> str:
+    """The setting that names the checkpoint of a registration method."""
     return f"registration.{method}.weights"
 
 
@@ -133,7 +135,16 @@ def _check(
         )
 
 
-def _tensors(path: Path, setting: str) -> dict[str, Tensor]:
+def read_tensors(path: Path, setting: str) -> dict[str, Tensor]:
+    """The tensors of a checkpoint by name.
+
+    Args:
+        path: its file.
+        setting: under which the file is configured.
+
+    Raises:
+        MethodError: there is no such file, or it is not a checkpoint.
+    """
     try:
         content = load_file(path) if path.suffix == ".safetensors" else _unpickled(path)
     except FileNotFoundError as error:

@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 from nss_ros.config import RegistrationConfig
 from nss_ros.fragment import Fragment, Points, clean_points, occupied_voxels
 from nss_ros.registration.features import FragmentSurface, surface_of
-from nss_ros.registration.learned.checkpoint import chosen_device, fill, read_weights
+from nss_ros.registration.learned.checkpoint import (
+    chosen_device,
+    fill,
+    read_weights,
+    weights_setting,
+)
 from nss_ros.registration.learned.method import (
     Described,
     LearnedMethod,
@@ -123,5 +128,5 @@ def _loaded(path: str, device: torch.device) -> ResUNet:
     """The network of a checkpoint; its sizes are read off its tensors."""
     tensors = read_weights(path, Fcgf.name, _PUBLISHED)
     network = ResUNet(*sizes(tensors))
-    fill(network, tensors, path, Fcgf.name)
+    fill(network, tensors, path, weights_setting(Fcgf.name))
     return network.to(device)
