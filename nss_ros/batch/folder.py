@@ -92,8 +92,8 @@ class ResultsFolder:
             before = _read(record)
             for name, (old, new) in _differences(before["settings"], content["settings"]):
                 raise InputError(
-                    f"{self.path} was made with other settings ({name} is {old} there and {new} "
-                    f"here): {_MADE_ELSEWHERE}, or use the same settings."
+                    f"{self.path} was made with other settings ({name} is {old!r} there and "
+                    f"{new!r} here): {_MADE_ELSEWHERE}, or use the same settings."
                 )
             content["settings"]["plugins"] |= before["settings"]["plugins"]
             content["versions"] = before["versions"]

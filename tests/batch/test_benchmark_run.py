@@ -260,7 +260,7 @@ def test_a_journal_that_was_cut_loses_its_end_only(dataset, tmp_path, share):
     [
         ({"config": load_config(None, ["registration.seed=9"])}, "registration.seed is 0 there"),
         ({"config": load_config(None, ["pose_graph.preference=3"])}, "pose_graph.preference"),
-        ({"pairs": PairChoice.OVERLAPPING}, "pairs is selected there and overlapping here"),
+        ({"pairs": PairChoice.OVERLAPPING}, "pairs is 'selected' there and 'overlapping' here"),
     ],
 )
 def test_a_folder_of_other_settings_is_refused(dataset, tmp_path, change, name):
