@@ -66,8 +66,8 @@ LEVELS = {
     "many, aliased": replace(
         _USUAL, right_within=(0.5, 0.6), right_across=(0.2, 0.4), aliased=(0.8, 0.8)
     ),
-    "as in training": _USUAL,
-    "as in training, 120-160 fragments": replace(_USUAL, fragments=(120, 160)),
+    "mixed": _USUAL,
+    "mixed, large": replace(_USUAL, fragments=(120, 160)),
 }
 
 

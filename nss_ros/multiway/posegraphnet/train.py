@@ -33,15 +33,15 @@ def main() -> None:
     """Train and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--graphs", type=int, default=1200, help="that are drawn")
-    parser.add_argument("--steps", type=int, default=3000, help="of the optimiser")
+    parser.add_argument("--graphs", type=int, default=2400, help="that are drawn")
+    parser.add_argument("--steps", type=int, default=8000, help="of the optimiser")
     parser.add_argument("--batch", type=int, default=8, help="graphs in a step")
     parser.add_argument("--width", type=int, default=64, help="of the hidden layers")
     parser.add_argument("--learning-rate", type=float, default=1.5e-3, help="the largest one")
     parser.add_argument(
         "--network-steps", type=int, default=6, help="from blank features on, in a round"
     )
-    parser.add_argument("--rounds", type=int, default=3, help="of the network, each after another")
+    parser.add_argument("--rounds", type=int, default=5, help="of the network in use")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     try:
@@ -61,7 +61,6 @@ def fit(arguments: argparse.Namespace) -> None:
         steps=arguments.steps,
         batch=arguments.batch,
         network_steps=arguments.network_steps,
-        rounds=arguments.rounds,
         learning_rate=arguments.learning_rate,
         seed=arguments.seed,
     )

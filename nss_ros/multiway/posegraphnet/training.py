@@ -1,9 +1,10 @@
 """Trains the network on simulated graphs.
 
-The loss is that of the paper: after each step, the distance of the relative transforms of pairs of
+The loss is that of the paper: after a step, the distance of the relative transforms of pairs of
 fragments from the true ones, summed over the entries of their matrices, and the cross-entropy of
-which edges are right; later steps count more. Neither depends on the map frame. Only fragments
-that right edges link are compared, since nothing says where the others are.
+which edges are right; later steps count more, the first ones of many not at all. Neither depends
+on the map frame. Only fragments that right edges link are compared, since nothing says where the
+others are.
 
 Unlike in the paper, far distances count by their logarithm: in graphs of buildings parts are
 displaced by a bay or more, often with nothing to tell it by, and such errors would drown those of
@@ -34,7 +35,8 @@ from nss_ros.multiway.posegraphnet.simulated_graph import SimulatedGraph
 from nss_ros.multiway.posegraphnet.start import graph_tensors, pose_tensors, tree_poses
 from nss_ros.multiway.spanning_tree import Closeness, components
 
-# Of the cross-entropy beside the distances, and of a step beside the next one (paper: 5, 0.5).
+# Of the cross-entropy beside the distances (the authors' code: 5), and of a step beside the next
+# one (0.5 there, too).
 _EDGE_WEIGHT, _STEP_WEIGHT = 1.0, 0.5
 # Steps before the last ones weigh next to nothing.
 _JUDGED_STEPS = 4
