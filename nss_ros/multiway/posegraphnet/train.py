@@ -41,7 +41,7 @@ def main() -> None:
     parser.add_argument(
         "--network-steps", type=int, default=6, help="from blank features on, in a round"
     )
-    parser.add_argument("--rounds", type=int, default=3, help="of the network, each after another")
+    parser.add_argument("--rounds", type=int, default=5, help="of the network in use")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     try:
@@ -61,7 +61,6 @@ def fit(arguments: argparse.Namespace) -> None:
         steps=arguments.steps,
         batch=arguments.batch,
         network_steps=arguments.network_steps,
-        rounds=arguments.rounds,
         learning_rate=arguments.learning_rate,
         seed=arguments.seed,
     )

@@ -2,9 +2,9 @@
 
 The loss is that of the paper: after a step, the distance of the relative transforms of pairs of
 fragments from the true ones, summed over the entries of their matrices, and the cross-entropy of
-which edges are right; later steps count more, the first of many not at all. Neither depends on the
-map frame. Only fragments that right edges link are compared, since nothing says where the others
-are.
+which edges are right; later steps count more, the first ones of many not at all. Neither depends
+on the map frame. Only fragments that right edges link are compared, since nothing says where the
+others are.
 
 Unlike in the paper, far distances count by their logarithm: in graphs of buildings parts are
 displaced by a bay or more, often with nothing to tell it by, and such errors would drown those of
