@@ -26,7 +26,7 @@ from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
 from nss_ros.multiway.pose_graph import PoseGraph
-from nss_ros.multiway.synchronizer import find_synchronizer
+from nss_ros.multiway.synchronizer import find_synchronizer, load_synchronizer
 from nss_ros.parallel import run
 from nss_ros.registration.method import find_method, load_method
 from nss_ros.versions import run_versions
@@ -119,7 +119,7 @@ def run_benchmark(
     for registration in registrations.values():
         load_method(registration)  # refuses before anything is done
     for name in choice.synchronizers:
-        find_synchronizer(name).load()
+        load_synchronizer(_multiway(config, name))
     plan = planned(source, choice.splits, choice.pairs, config.dataset.pairs.min_overlap)
     folder = ResultsFolder(output)
     settings = _settings(source, choice, config)

@@ -285,6 +285,22 @@ def test_foreign_folders_and_names_are_refused(dataset, tmp_path):
     assert not (tmp_path / "results").exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "setting"),
+    [
+        ({"methods": ("predator",)}, "registration.predator.weights"),
+        ({"synchronizers": ("posegraphnet",)}, "pose_graph.posegraphnet_weights"),
+    ],
+)
+def test_weights_that_are_none_are_refused_before_a_pair_is_registered(
+    dataset, tmp_path, options, setting
+):
+    none = load_config(None, [f"{setting}={tmp_path / 'none.pth'}"])
+    with pytest.raises(MethodError, match=setting):
+        go(dataset, tmp_path / "results", config=none, **options)
+    assert not (tmp_path / "results").exists()
+
+
 def test_two_benchmarks_do_not_share_a_folder(dataset, tmp_path):
     refusals = []
 
