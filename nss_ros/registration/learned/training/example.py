@@ -47,7 +47,7 @@ class ExampleSource:
         dataset: complete.
         pairs: to draw from, not empty.
         config: how fragments are turned.
-        seed: the same seed and number give the same example.
+        seed: two numbers; the same ones give the same examples.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class ExampleSource:
         dataset: DatasetFolder,
         pairs: Sequence[FragmentPair],
         config: TrainingConfig,
-        seed: int,
+        seed: tuple[int, int],
     ) -> None:
         self._dataset = dataset
         self._poses = dataset.poses()
@@ -69,7 +69,7 @@ class ExampleSource:
         Raises:
             FormatError: a fragment cannot be read.
         """
-        random = np.random.default_rng((self._seed, number, attempt))
+        random = np.random.default_rng((*self._seed, number, attempt))
         return self._example(self._pairs[int(random.integers(len(self._pairs)))], random), random
 
     def at(self, place: int) -> tuple[Example, np.random.Generator]:
@@ -78,7 +78,7 @@ class ExampleSource:
         Raises:
             FormatError: a fragment cannot be read.
         """
-        random = np.random.default_rng((self._seed, place))
+        random = np.random.default_rng((*self._seed, place))
         return self._example(self._pairs[place], random), random
 
     def _example(self, pair: FragmentPair, random: np.random.Generator) -> Example:
