@@ -25,10 +25,13 @@ from nss_ros.batch.source import BatchSplit, PairChoice, Source
 from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
+from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME
+from nss_ros.errors import InputError
 from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.multiway.synchronizer import find_synchronizer, load_synchronizer
 from nss_ros.parallel import run
-from nss_ros.registration.method import find_method, load_method
+from nss_ros.registration.learned.training_record import TrainingRecord
+from nss_ros.registration.method import Method, find_method, load_method
 from nss_ros.versions import run_versions
 
 DIED_KEY = "benchmark.worker_died"
@@ -116,8 +119,11 @@ def run_benchmark(
     registrations = {
         name: registration_config(config, name) for name in dict.fromkeys(choice.methods)
     }
-    for registration in registrations.values():
-        load_method(registration)  # refuses before anything is done
+    # Loaded to be refused before anything is done, if at all.
+    trained = {
+        name: _training(name, load_method(each), source, choice)
+        for name, each in registrations.items()
+    }
     for name in choice.synchronizers:
         load_synchronizer(_multiway(config, name))
     plan = planned(source, choice.splits, choice.pairs, config.dataset.pairs.min_overlap)
@@ -134,10 +140,37 @@ def run_benchmark(
                 force,
                 _of_method(report, name),
             )
-        writer = _Writer(source, folder, plan, choice, config, journal, versions)
+        writer = _Writer(source, folder, plan, choice, config, journal, versions, trained)
         result = writer.write(force, report)
         folder.finish()
     return result
+
+
+def _training(name: str, method: Method, source: Source, choice: Choice) -> str:
+    """What a method was trained on, as asked for or as its weights tell; empty: not told.
+
+    Raises:
+        InputError: pairs that are registered are among those that it learned from.
+    """
+    record = getattr(method, "training", None)
+    if not isinstance(record, TrainingRecord):
+        return choice.training
+    found = source.fingerprint()
+    if found.get(POSES_NAME) == record.poses:
+        same = found[PAIRS_NAME] == record.pairs
+        other = next((split for split in choice.splits if split.value != record.split), None)
+        if other is not None or not same:
+            reason = (
+                f"pairs of the split '{other}'"
+                if same
+                else "since the splits were made anew, test pairs"
+            )
+            raise InputError(
+                f"Method '{name}' has learned from training pairs of the split '{record.split}' "
+                f"of {source.path}: {reason} may be among them, so give --split {record.split} "
+                "and a dataset as it was, or other weights."
+            )
+    return choice.training or record.stages
 
 
 def _of_method(report: Report, method: str) -> Report:
@@ -155,6 +188,7 @@ class _Writer:
     config: NssConfig
     journal: Journal
     versions: dict[str, str]
+    trained: dict[str, str]
 
     def write(self, force: Workforce, report: Report) -> BatchResult:
         """Write the logs that are missing."""
@@ -247,7 +281,7 @@ class _Writer:
         )
         own = {
             SPLIT_KEY: log.split,
-            TRAINING_KEY: self.choice.training,
+            TRAINING_KEY: self.trained[log.method],
             "benchmark.pairs": self.choice.pairs.value,
             "benchmark.method": log.method,
             "benchmark.synchronizer": log.synchronizer,

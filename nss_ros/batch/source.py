@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -19,6 +18,7 @@ from nss_ros.dataset.manifest import MANIFEST_NAME
 from nss_ros.dataset.pairs import PairTable
 from nss_ros.dataset.splits import Split
 from nss_ros.errors import FormatError, InputError
+from nss_ros.files import file_digest
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.multiway.pose_graph import PoseGraph
 
@@ -166,7 +166,7 @@ class DatasetSource(Source):
     def fingerprint(self) -> dict[str, str]:
         """Of its pairs and poses."""
         names = (PAIRS_NAME, POSES_NAME)
-        files = {name: _digest(self.path / name) for name in names}
+        files = {name: file_digest(self.path / name) for name in names}
         return files | {"seed": str(self.dataset.manifest.seed)}
 
 
@@ -314,10 +314,3 @@ def _only_of(graph: PoseGraph, pairs: PairTable) -> PoseGraph:
     wanted = set(_fragments_of(pairs))
     nodes = tuple(node for node in graph.nodes if node.id in wanted)
     return PoseGraph(nodes, graph.edges, graph.name)
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    except OSError as error:
-        raise InputError(f"Cannot read {path}: {error.strerror}.") from error

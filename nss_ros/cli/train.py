@@ -81,7 +81,7 @@ def train(
         )
         return
     Console().print(
-        f"{seconds:.0f} s, {record.pairs:,} pairs to learn from. Weights: {output}, used by "
+        f"{seconds:.0f} s, {record.count:,} pairs to learn from. Weights: {output}, used by "
         f"--set registration.{method}.weights={output} "
         f"--set registration.{method}.voxel_size={record.voxel_size:g}",
         highlight=False,

@@ -17,10 +17,11 @@ class TrainingRecord:
     Attributes:
         method: registered name.
         voxel_size: of the method while it learned, metres.
-        dataset: digest of the poses of the dataset, which no other dataset has.
+        poses: digest of the poses of the dataset, which no other dataset has.
+        pairs: digest of its pairs, which divides them into the same sets as long as it is so.
         split: whose training pairs were learned from.
         same_stage_only: whether pairs of different stages were left out.
-        pairs: that there were to learn from.
+        count: of the pairs that there were to learn from.
         seed: of the first weights and of all that is drawn.
         settings: of training, by name.
         version: of this package.
@@ -28,10 +29,11 @@ class TrainingRecord:
 
     method: str
     voxel_size: float
-    dataset: str
+    poses: str
+    pairs: str
     split: str
     same_stage_only: bool
-    pairs: int
+    count: int
     seed: int
     settings: dict[str, Any]
     version: str

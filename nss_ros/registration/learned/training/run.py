@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,10 +12,10 @@ import torch
 
 from nss_ros import __version__
 from nss_ros.config import NssConfig
-from nss_ros.dataset.folder import POSES_NAME, DatasetFolder
+from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME, DatasetFolder
 from nss_ros.dataset.splits import Split
 from nss_ros.errors import FormatError, InputError
-from nss_ros.files import write_file
+from nss_ros.files import file_digest, write_file
 from nss_ros.registration.learned.checkpoint import chosen_device
 from nss_ros.registration.learned.training.example import ExampleSource, training_pairs
 from nss_ros.registration.learned.training.loop import Report, Trainer
@@ -105,7 +104,8 @@ def _record(training: Training, config: NssConfig, pairs: int) -> TrainingRecord
     return TrainingRecord(
         training.method,
         getattr(config.registration, training.method).voxel_size,
-        dataset_digest(training.dataset),
+        file_digest(training.dataset.path / POSES_NAME),
+        file_digest(training.dataset.path / PAIRS_NAME),
         training.split.value,
         training.same_stage_only,
         pairs,
@@ -113,11 +113,6 @@ def _record(training: Training, config: NssConfig, pairs: int) -> TrainingRecord
         config.training.model_dump(mode="json"),
         __version__,
     )
-
-
-def dataset_digest(dataset: DatasetFolder) -> str:
-    """What tells a dataset from all others."""
-    return hashlib.sha256((dataset.path / POSES_NAME).read_bytes()).hexdigest()[:16]
 
 
 def _begun(path: Path, record: TrainingRecord) -> dict[str, Any]:
