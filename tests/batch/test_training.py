@@ -161,5 +161,5 @@ def test_the_command_trains_and_tells_how_to_use_the_weights(dataset_path, tmp_p
     told = json.loads(result.stdout)
     assert told["record"]["count"] > 0
     assert [each["step"] for each in told["losses"]] == [2, 4]
-    assert set(told["losses"][0]["losses"]) == {"positive", "negative"}
+    assert set(told["losses"][0]["losses"]) == {"source", "target"}
     assert read_record(output).split == "cross_stage"
