@@ -1,37 +1,29 @@
 import numpy as np
 import pytest
 import torch
-from furnished_room import room
+from training_pair import distant_pair, training_pair
 
 from nss_ros.config import RegistrationConfig, TrainingConfig
-from nss_ros.geometry import from_yaw, inverse, transform_points
 from nss_ros.registration.learned.fcgf import one_per_voxel
 from nss_ros.registration.learned.res_unet import Pyramid
 from nss_ros.registration.learned.sparse_convolution import Voxels
-from nss_ros.registration.learned.training.example import Example, augmented
+from nss_ros.registration.learned.training.example import augmented
 from nss_ros.registration.learned.training.fcgf import (
     FcgfTrainee,
     confusion,
 )
 
 CONFIG = RegistrationConfig(fcgf={"voxel_size": 0.2})
-TRUTH = from_yaw(0.4, (0.6, -0.3, 0.0))
 
 
 def trainee():
+    torch.set_num_threads(1)  # as in training
     torch.manual_seed(0)
     return FcgfTrainee(CONFIG, torch.device("cpu"))
 
 
-def example():
-    """Three quarters each of a room in two scans."""
-    source, target = room(1), room(2)
-    source = transform_points(inverse(TRUTH), source[source[:, 0] < 1.3]).astype(np.float32)
-    return Example(source, target[target[:, 0] > -1.3], TRUTH)
-
-
 def prepared(learner, seed=0):
-    found = learner.prepare(example(), np.random.default_rng(seed))
+    found = learner.prepare(training_pair(), np.random.default_rng(seed))
     assert found is not None
     return found
 
@@ -51,16 +43,14 @@ def test_positives_lie_on_each_other():
 
 
 def test_a_pair_without_anything_in_common_is_left_out():
-    source = example().source
-    far = Example(source, source, from_yaw(0, (50.0, 0, 0)))
-    assert trainee().prepare(far, np.random.default_rng(0)) is None
+    assert trainee().prepare(distant_pair(), np.random.default_rng(0)) is None
 
 
 def test_clouds_that_are_described_at_once_do_not_see_each_other():
     learner = trainee()
     network = learner.network.eval()
     pair = prepared(learner)
-    count = len(one_per_voxel(example().source, 0.2)[0])
+    count = len(one_per_voxel(training_pair().source, 0.2)[0])
 
     def described(coordinates):
         voxels = Voxels(torch.from_numpy(coordinates))
@@ -112,11 +102,11 @@ def test_a_few_steps_lower_the_loss():
     optimizer = torch.optim.AdamW(learner.network.parameters(), learner.learning_rate)
     random = np.random.default_rng(0)
     seen = []
-    for _ in range(25):
-        turned = augmented(example(), TrainingConfig(), random)
+    for _ in range(12):
+        turned = augmented(training_pair(), TrainingConfig(), random)
         optimizer.zero_grad()
         loss = sum(learner.losses(learner.prepare(turned, random)).values())
         loss.backward()
         optimizer.step()
         seen.append(float(loss.detach()))
-    assert np.mean(seen[-3:]) < 0.9 * np.mean(seen[:3])
+    assert np.mean(seen[-3:]) < 0.95 * np.mean(seen[:2])

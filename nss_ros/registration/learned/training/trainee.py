@@ -11,8 +11,10 @@ from torch import Tensor, nn
 
 from nss_ros.config import RegistrationConfig
 from nss_ros.errors import MethodError
+from nss_ros.registration.learned.training.d3feat import D3FeatTrainee
 from nss_ros.registration.learned.training.example import Example
 from nss_ros.registration.learned.training.fcgf import FcgfTrainee
+from nss_ros.registration.learned.training.predator import PredatorTrainee
 
 
 class Trainee(Protocol):
@@ -42,6 +44,8 @@ class Trainee(Protocol):
 
 TRAINEES: dict[str, Callable[[RegistrationConfig, torch.device], Trainee]] = {
     "fcgf": FcgfTrainee,
+    "d3feat": D3FeatTrainee,
+    "predator": PredatorTrainee,
 }
 
 
