@@ -18,11 +18,13 @@ from nss_ros.fragment import voxelize
 from nss_ros.registration.learned.d3feat_network import DEPTH, D3FeatNetwork
 from nss_ros.registration.learned.kernel_point_network import LIMITS, RADIUS
 from nss_ros.registration.learned.pyramid import Level, pyramid
-from nss_ros.registration.learned.training.circle_loss import Circle, circle_loss
+from nss_ros.registration.learned.training.circle_loss import circle_loss
 from nss_ros.registration.learned.training.example import Example
 from nss_ros.registration.learned.training.matched_sample import MatchedSample, matched_sample
 
-_CIRCLE = Circle(scale=10, positive=1.5, safe=3.5)
+# Voxels: points nearer than this are of one place, farther apart than that of different ones.
+_POSITIVE, _SAFE = 1.5, 3.5
+_SCALE = 10
 _DRAWN = 256
 
 
@@ -56,7 +58,7 @@ class D3FeatTrainee:
         size = self._voxel_size
         source, target = voxelize(example.source, size), voxelize(example.target, size)
         sample = matched_sample(
-            source, target, example.T_target_source, size, _CIRCLE.positive, _DRAWN, random
+            source, target, example.T_target_source, size, _POSITIVE, _DRAWN, random
         )
         if sample is None:
             return None
@@ -80,7 +82,7 @@ class D3FeatTrainee:
         apart = torch.cdist(positions[source_rows], positions[first + target_rows])
         scores = source_scores[source_rows] + target_scores[target_rows]
         return {
-            "descriptor": circle_loss(described, apart, _CIRCLE),
+            "descriptor": circle_loss(described, apart < _POSITIVE, apart > _SAFE, _SCALE),
             "detector": detector_loss(described, apart, scores),
         }
 
@@ -93,7 +95,7 @@ def detector_loss(described: Tensor, apart: Tensor, scores: Tensor) -> Tensor:
         apart: (k, k) distances in truth, voxels.
         scores: (k,) of both points of each correspondence.
     """
-    hardest = described.masked_fill(apart <= _CIRCLE.safe, torch.inf).amin(dim=1)
+    hardest = described.masked_fill(apart <= _SAFE, torch.inf).amin(dim=1)
     used = hardest.isfinite()
     gain = (described.diagonal() - hardest)[used]
     return (gain * scores[used]).sum() / used.sum().clamp(min=1)

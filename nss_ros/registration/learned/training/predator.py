@@ -18,11 +18,13 @@ from nss_ros.fragment import voxelize
 from nss_ros.registration.learned.kernel_point_network import LIMITS, RADIUS
 from nss_ros.registration.learned.predator_network import DEPTH, PredatorNetwork
 from nss_ros.registration.learned.pyramid import Level, pyramid
-from nss_ros.registration.learned.training.circle_loss import Circle, circle_loss
+from nss_ros.registration.learned.training.circle_loss import circle_loss
 from nss_ros.registration.learned.training.example import Example
 from nss_ros.registration.learned.training.matched_sample import MatchedSample, matched_sample
 
-_CIRCLE = Circle(scale=24, positive=1.5, safe=4)
+# Voxels: points nearer than this are of one place, farther apart than that of different ones.
+_POSITIVE, _SAFE = 1.5, 4.0
+_SCALE = 24
 _MATCHED = 2.0
 _DRAWN = 256
 # Points whose match is looked for, among all that overlap.
@@ -59,7 +61,7 @@ class PredatorTrainee:
         size = self._voxel_size
         source, target = voxelize(example.source, size), voxelize(example.target, size)
         sample = matched_sample(
-            source, target, example.T_target_source, size, _CIRCLE.positive, _DRAWN, random
+            source, target, example.T_target_source, size, _POSITIVE, _DRAWN, random
         )
         if sample is None:
             return None
@@ -86,7 +88,7 @@ class PredatorTrainee:
         rows = torch.cat(prepared.looked_for)
         found = self._found(descriptors.detach(), positions, overlaps, first, prepared.looked_for)
         return {
-            "descriptor": circle_loss(described, apart, _CIRCLE),
+            "descriptor": circle_loss(described, apart < _POSITIVE, apart > _SAFE, _SCALE),
             "overlap": balanced_cross_entropy(overlap, overlaps),
             "saliency": balanced_cross_entropy(saliency[rows], found),
         }

@@ -14,6 +14,7 @@ from nss_ros.errors import MethodError
 from nss_ros.registration.learned.training.d3feat import D3FeatTrainee
 from nss_ros.registration.learned.training.example import Example
 from nss_ros.registration.learned.training.fcgf import FcgfTrainee
+from nss_ros.registration.learned.training.geotransformer import GeoTransformerTrainee
 from nss_ros.registration.learned.training.predator import PredatorTrainee
 
 
@@ -46,6 +47,7 @@ TRAINEES: dict[str, Callable[[RegistrationConfig, torch.device], Trainee]] = {
     "fcgf": FcgfTrainee,
     "d3feat": D3FeatTrainee,
     "predator": PredatorTrainee,
+    "geotransformer": GeoTransformerTrainee,
 }
 
 
