@@ -27,6 +27,7 @@ from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
 from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME
 from nss_ros.errors import InputError
+from nss_ros.files import file_digest
 from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.multiway.synchronizer import find_synchronizer, load_synchronizer
 from nss_ros.parallel import run
@@ -157,19 +158,18 @@ def _training(name: str, method: Method, source: Source, choice: Choice) -> str:
         return choice.training
     found = source.fingerprint()
     if found.get(POSES_NAME) == record.poses:
-        same = found[PAIRS_NAME] == record.pairs
-        other = next((split for split in choice.splits if split.value != record.split), None)
-        if other is not None or not same:
-            reason = (
-                f"pairs of the split '{other}'"
-                if same
-                else "since the splits were made anew, test pairs"
-            )
+        learned = f"Method '{name}' has learned from the split '{record.split}' of {source.path}"
+        if found[PAIRS_NAME] != record.pairs:
             raise InputError(
-                f"Method '{name}' has learned from training pairs of the split '{record.split}' "
-                f"of {source.path}: {reason} may be among them, so give --split {record.split} "
-                "and a dataset as it was, or other weights."
+                f"{learned}, whose pairs were made anew since, so test pairs may be among those "
+                "that it has learned: train again, or give other weights."
             )
+        for split in choice.splits:
+            if split.value != record.split:
+                raise InputError(
+                    f"{learned}, so pairs of the split '{split}' may be among those that it has "
+                    f"learned: give --split {record.split}, or other weights."
+                )
     return choice.training or record.stages
 
 
@@ -344,8 +344,14 @@ def _settings(source: Source, choice: Choice, config: NssConfig) -> dict[str, An
         "registration": registration,
         "pose_graph": multiway,
         "versions": {k: v for k, v in run_versions().items() if k not in _INDIFFERENT},
-        "plugins": {each.name: _origin(each) for each in plugins},
+        "plugins": {each.name: _origin(each) + _weights(config, each.name) for each in plugins},
     }
+
+
+def _weights(config: NssConfig, method: str) -> str:
+    """What tells the file of a registration method's weights; empty if there is none."""
+    path: str = getattr(getattr(config.registration, method, None), "weights", "")
+    return f" with weights {file_digest(Path(path))}" if path else ""
 
 
 def _origin(plugin: EntryPoint) -> str:

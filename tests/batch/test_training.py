@@ -1,6 +1,7 @@
 """Training on a dataset: what is learned from, what is saved, and what a benchmark makes of it."""
 
 import json
+import shutil
 
 import pytest
 import torch
@@ -12,8 +13,8 @@ from nss_ros.batch.run import Choice, run_benchmark
 from nss_ros.batch.source import BatchSplit, DatasetSource
 from nss_ros.benchmark.evaluation import evaluate
 from nss_ros.cli.main import app
-from nss_ros.config import load_config
-from nss_ros.dataset.annotate import pair_sets
+from nss_ros.config import PairConfig, SplitConfig, load_config
+from nss_ros.dataset.annotate import add_pairs, pair_sets
 from nss_ros.dataset.folder import DatasetFolder
 from nss_ros.dataset.splits import Split
 from nss_ros.errors import FormatError, InputError, MethodError
@@ -137,9 +138,29 @@ def test_a_benchmark_tells_what_was_learned_from(dataset, weights, tmp_path):
 @pytest.mark.parametrize("split", [BatchSplit.ALL, BatchSplit.ORIGINAL])
 def test_a_benchmark_refuses_pairs_that_were_learned_from(dataset, weights, tmp_path, split):
     splits = (BatchSplit.CROSS_STAGE, split)
-    with pytest.raises(InputError, match=f"pairs of the split '{split.value}' may be among them"):
+    with pytest.raises(InputError, match=f"so pairs of the split '{split.value}' may be among"):
         benchmarked(dataset, weights, tmp_path / "out", splits)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_benchmark_refuses_pairs_that_were_divided_anew(dataset_path, weights, tmp_path):
+    copy = tmp_path / "dataset"
+    shutil.copytree(dataset_path, copy)
+    add_pairs(DatasetFolder(copy), PairConfig(), SplitConfig(train_share=0.5), seed=9, workers=1)
+    with pytest.raises(InputError, match="made anew since"):
+        benchmarked(DatasetFolder(copy), weights, tmp_path / "out", (BatchSplit.CROSS_STAGE,))
+
+
+def test_other_weights_of_the_same_name_are_other_settings(dataset, weights, tmp_path):
+    own = tmp_path / "fcgf.pth"
+    splits = (BatchSplit.CROSS_STAGE,)
+    shutil.copy(weights, own)
+    benchmarked(dataset, own, tmp_path / "out", splits)
+    content = torch.load(own, weights_only=True)
+    content["state_dict"]["final.bias"] += 1
+    torch.save(content, own)
+    with pytest.raises(InputError, match=r"plugins\.fcgf is .* with weights .* there"):
+        benchmarked(dataset, own, tmp_path / "out", splits)
 
 
 def test_the_command_trains_and_tells_how_to_use_the_weights(dataset_path, tmp_path):

@@ -74,7 +74,7 @@ def read_weights(path: str, method: str, published: str) -> dict[str, Tensor]:
     if not path:
         raise MethodError(
             f"Method '{method}' needs trained weights: set {setting} to a checkpoint of its "
-            f"authors' ({published}) or of your own."
+            f"authors' ({published}), or to one that 'nss train' made."
         )
     return read_tensors(Path(path), setting)
 
