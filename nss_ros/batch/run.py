@@ -25,7 +25,7 @@ from nss_ros.batch.source import BatchSplit, PairChoice, Source
 from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
-from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME
+from nss_ros.dataset.folder import POSES_NAME
 from nss_ros.errors import InputError
 from nss_ros.files import file_digest
 from nss_ros.multiway.pose_graph import PoseGraph
@@ -156,12 +156,11 @@ def _training(name: str, method: Method, source: Source, choice: Choice) -> str:
     record = getattr(method, "training", None)
     if not isinstance(record, TrainingRecord):
         return choice.training
-    found = source.fingerprint()
-    if found.get(POSES_NAME) == record.poses:
+    if source.fingerprint().get(POSES_NAME) == record.poses:
         learned = f"Method '{name}' has learned from the split '{record.split}' of {source.path}"
-        if found[PAIRS_NAME] != record.pairs:
+        if source.sets() != record.sets:
             raise InputError(
-                f"{learned}, whose pairs were made anew since, so test pairs may be among those "
+                f"{learned}, whose splits were made anew since, so test pairs may be among those "
                 "that it has learned: train again, or give other weights."
             )
         for split in choice.splits:

@@ -11,7 +11,7 @@ import numpy as np
 
 from nss_ros.bag import Log, read_log, with_source_points, write_bag
 from nss_ros.bag_reader import bag_digest
-from nss_ros.dataset.annotate import pair_sets
+from nss_ros.dataset.annotate import pair_sets, sets_digest
 from nss_ros.dataset.bag_export import dataset_metadata, export_fragments, ground_truth_graph
 from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME, DatasetFolder
 from nss_ros.dataset.manifest import MANIFEST_NAME
@@ -105,6 +105,10 @@ class Source(ABC):
     def fingerprint(self) -> dict[str, str]:
         """What tells whether it is the same as before."""
 
+    @abstractmethod
+    def sets(self) -> str:
+        """What tells whether its pairs are in the same sets of each split as before."""
+
 
 class DatasetSource(Source):
     """A dataset folder.
@@ -168,6 +172,10 @@ class DatasetSource(Source):
         names = (PAIRS_NAME, POSES_NAME)
         files = {name: file_digest(self.path / name) for name in names}
         return files | {"seed": str(self.dataset.manifest.seed)}
+
+    def sets(self) -> str:
+        """Of seed and settings of the splits."""
+        return sets_digest(self.dataset)
 
 
 class BagSource(Source):
@@ -279,6 +287,10 @@ class BagSource(Source):
     def fingerprint(self) -> dict[str, str]:
         """Of all its bytes."""
         return {"bag": bag_digest(self.path)[:16]}
+
+    def sets(self) -> str:
+        """Nothing: a bag has no splits."""
+        return ""
 
 
 def open_source(path: Path) -> Source:

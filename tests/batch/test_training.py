@@ -146,7 +146,9 @@ def test_a_benchmark_refuses_pairs_that_were_learned_from(dataset, weights, tmp_
 def test_a_benchmark_refuses_pairs_that_were_divided_anew(dataset_path, weights, tmp_path):
     copy = tmp_path / "dataset"
     shutil.copytree(dataset_path, copy)
-    add_pairs(DatasetFolder(copy), PairConfig(), SplitConfig(train_share=0.5), seed=9, workers=1)
+    add_pairs(DatasetFolder(copy), PairConfig(), SplitConfig(), seed=0, workers=1)  # as it was
+    benchmarked(DatasetFolder(copy), weights, tmp_path / "same", (BatchSplit.CROSS_STAGE,))
+    add_pairs(DatasetFolder(copy), PairConfig(), SplitConfig(), seed=9, workers=1)
     with pytest.raises(InputError, match="made anew since"):
         benchmarked(DatasetFolder(copy), weights, tmp_path / "out", (BatchSplit.CROSS_STAGE,))
 

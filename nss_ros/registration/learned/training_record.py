@@ -18,7 +18,7 @@ class TrainingRecord:
         method: registered name.
         voxel_size: of the method while it learned, metres.
         poses: digest of the poses of the dataset, which no other dataset has.
-        pairs: digest of its pairs, which divides them into the same sets as long as it is so.
+        sets: digest of what decides which of its pairs are to learn from.
         split: whose training pairs were learned from.
         same_stage_only: whether pairs of different stages were left out.
         count: of the pairs that there were to learn from.
@@ -30,7 +30,7 @@ class TrainingRecord:
     method: str
     voxel_size: float
     poses: str
-    pairs: str
+    sets: str
     split: str
     same_stage_only: bool
     count: int

@@ -12,7 +12,8 @@ import torch
 
 from nss_ros import __version__
 from nss_ros.config import NssConfig
-from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME, DatasetFolder
+from nss_ros.dataset.annotate import sets_digest
+from nss_ros.dataset.folder import POSES_NAME, DatasetFolder
 from nss_ros.dataset.splits import Split
 from nss_ros.errors import FormatError, InputError
 from nss_ros.files import file_digest, write_file
@@ -105,7 +106,7 @@ def _record(training: Training, config: NssConfig, pairs: int) -> TrainingRecord
         training.method,
         getattr(config.registration, training.method).voxel_size,
         file_digest(training.dataset.path / POSES_NAME),
-        file_digest(training.dataset.path / PAIRS_NAME),
+        sets_digest(training.dataset),
         training.split.value,
         training.same_stage_only,
         pairs,
