@@ -402,6 +402,11 @@ def _heights(name: str, area: IfcArea, storeys: Sequence[_Storey]) -> tuple[floa
     """Floor and ceiling of the area in the model, and the name of its storey."""
     if area.floor is not None:
         return area.floor, area.ceiling or area.floor + _STOREY_HEIGHT, area.storey
+    if not storeys:
+        raise InputError(
+            f"Area {name}: the model has no storey with anything in it: give files of a building, "
+            "or 'floor' and 'ceiling' of the area in a site file."
+        )
     matching = [storey for storey in storeys if fnmatch(storey.name, area.storey or "*")]
     if not matching:
         raise InputError(
