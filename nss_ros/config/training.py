@@ -25,6 +25,9 @@ class TrainingConfig(Section):
         "level",
         description="How fragments are turned at random: about their vertical, with a tilt of a few degrees, or in any way, as the methods' authors do",
     )
+    threads: int = Field(
+        1, gt=0, description="Of the processor; more are quicker, and give other last digits"
+    )
     noise: float = Field(0.005, ge=0, description="Standard deviation of noise on points, metres")
     validation_pairs: int = Field(50, ge=0, description="Validation pairs whose loss is told")
     save_every: int = Field(

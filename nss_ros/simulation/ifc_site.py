@@ -431,7 +431,7 @@ def _other_storeys(name: str, chosen: str, storeys: Sequence[_Storey]) -> list[s
 
 
 def _names(storeys: Sequence[_Storey]) -> str:
-    names = dict.fromkeys(f"'{s.name}' at {s.elevation:g} m" for s in storeys)
+    names = dict.fromkeys(f"'{s.name}' at {round(s.elevation, 2) + 0.0:g} m" for s in storeys)
     return ", ".join(names) or "no storeys"
 
 

@@ -74,8 +74,7 @@ def train(
     learned, validated = training_pairs(
         training.dataset, training.split, training.same_stage_only, settings.min_overlap
     )
-    # The sums of one thread are always the same; pairs are prepared by others.
-    torch.set_num_threads(1)
+    torch.set_num_threads(settings.threads)  # besides those that prepare pairs
     torch.manual_seed(training.seed)
     section = getattr(config.registration, training.method, None)
     device = chosen_device(getattr(section, "device", "auto"))
