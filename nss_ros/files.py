@@ -1,11 +1,12 @@
-"""Writing files whole or not at all."""
+"""Writing files whole or not at all, and telling whether one is the same."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 
-from nss_ros.errors import FormatError
+from nss_ros.errors import FormatError, InputError
 
 
 def write_file(path: Path, data: bytes) -> None:
@@ -24,3 +25,15 @@ def write_file(path: Path, data: bytes) -> None:
     except OSError as error:
         temporary.unlink(missing_ok=True)
         raise FormatError(f"Cannot write {path}: {error.strerror}.") from error
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, its first 16 digits.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    except OSError as error:
+        raise InputError(f"Cannot read {path}: {error.strerror}.") from error

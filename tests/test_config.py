@@ -50,7 +50,10 @@ def test_a_wrong_override_is_named(override: str, message: str):
         ("registration.voxle_size=1", "did you mean 'registration.voxel_size'?"),
         ("registration.icp.iteration=1", "did you mean 'registration.icp.iterations'?"),
         ("registraton.seed=1", "did you mean 'registration'?"),
-        ("nodes=3", "there are player, registration, pose_graph, recorder, simulation, dataset."),
+        (
+            "nodes=3",
+            "there are player, registration, pose_graph, recorder, simulation, dataset, training.",
+        ),
     ],
 )
 def test_of_a_name_that_is_no_setting_the_right_one_is_told(override: str, message: str):

@@ -25,10 +25,14 @@ from nss_ros.batch.source import BatchSplit, PairChoice, Source
 from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
+from nss_ros.dataset.folder import POSES_NAME
+from nss_ros.errors import InputError
+from nss_ros.files import file_digest
 from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.multiway.synchronizer import find_synchronizer, load_synchronizer
 from nss_ros.parallel import run
-from nss_ros.registration.method import find_method, load_method
+from nss_ros.registration.learned.training_record import TrainingRecord
+from nss_ros.registration.method import Method, find_method, load_method
 from nss_ros.versions import run_versions
 
 DIED_KEY = "benchmark.worker_died"
@@ -116,8 +120,11 @@ def run_benchmark(
     registrations = {
         name: registration_config(config, name) for name in dict.fromkeys(choice.methods)
     }
-    for registration in registrations.values():
-        load_method(registration)  # refuses before anything is done
+    # Loaded to be refused before anything is done, if at all.
+    trained = {
+        name: _training(name, load_method(each), source, choice)
+        for name, each in registrations.items()
+    }
     for name in choice.synchronizers:
         load_synchronizer(_multiway(config, name))
     plan = planned(source, choice.splits, choice.pairs, config.dataset.pairs.min_overlap)
@@ -134,10 +141,35 @@ def run_benchmark(
                 force,
                 _of_method(report, name),
             )
-        writer = _Writer(source, folder, plan, choice, config, journal, versions)
+        writer = _Writer(source, folder, plan, choice, config, journal, versions, trained)
         result = writer.write(force, report)
         folder.finish()
     return result
+
+
+def _training(name: str, method: Method, source: Source, choice: Choice) -> str:
+    """What a method was trained on, as asked for or as its weights tell; empty: not told.
+
+    Raises:
+        InputError: pairs that are registered are among those that it learned from.
+    """
+    record = getattr(method, "training", None)
+    if not isinstance(record, TrainingRecord):
+        return choice.training
+    if source.fingerprint().get(POSES_NAME) == record.poses:
+        learned = f"Method '{name}' has learned from the split '{record.split}' of {source.path}"
+        if source.sets() != record.sets:
+            raise InputError(
+                f"{learned}, whose splits were made anew since, so test pairs may be among those "
+                "that it has learned: train again, or give other weights."
+            )
+        for split in choice.splits:
+            if split.value != record.split:
+                raise InputError(
+                    f"{learned}, so pairs of the split '{split}' may be among those that it has "
+                    f"learned: give --split {record.split}, or other weights."
+                )
+    return choice.training or record.stages
 
 
 def _of_method(report: Report, method: str) -> Report:
@@ -155,6 +187,7 @@ class _Writer:
     config: NssConfig
     journal: Journal
     versions: dict[str, str]
+    trained: dict[str, str]
 
     def write(self, force: Workforce, report: Report) -> BatchResult:
         """Write the logs that are missing."""
@@ -247,7 +280,7 @@ class _Writer:
         )
         own = {
             SPLIT_KEY: log.split,
-            TRAINING_KEY: self.choice.training,
+            TRAINING_KEY: self.trained[log.method],
             "benchmark.pairs": self.choice.pairs.value,
             "benchmark.method": log.method,
             "benchmark.synchronizer": log.synchronizer,
@@ -310,8 +343,14 @@ def _settings(source: Source, choice: Choice, config: NssConfig) -> dict[str, An
         "registration": registration,
         "pose_graph": multiway,
         "versions": {k: v for k, v in run_versions().items() if k not in _INDIFFERENT},
-        "plugins": {each.name: _origin(each) for each in plugins},
+        "plugins": {each.name: _origin(each) + _weights(config, each.name) for each in plugins},
     }
+
+
+def _weights(config: NssConfig, method: str) -> str:
+    """What tells the file of a registration method's weights; empty if there is none."""
+    path: str = getattr(getattr(config.registration, method, None), "weights", "")
+    return f" with weights {file_digest(Path(path))}" if path else ""
 
 
 def _origin(plugin: EntryPoint) -> str:

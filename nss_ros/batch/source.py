@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -12,13 +11,14 @@ import numpy as np
 
 from nss_ros.bag import Log, read_log, with_source_points, write_bag
 from nss_ros.bag_reader import bag_digest
-from nss_ros.dataset.annotate import pair_sets
+from nss_ros.dataset.annotate import pair_sets, sets_digest
 from nss_ros.dataset.bag_export import dataset_metadata, export_fragments, ground_truth_graph
 from nss_ros.dataset.folder import PAIRS_NAME, POSES_NAME, DatasetFolder
 from nss_ros.dataset.manifest import MANIFEST_NAME
 from nss_ros.dataset.pairs import PairTable
 from nss_ros.dataset.splits import Split
 from nss_ros.errors import FormatError, InputError
+from nss_ros.files import file_digest
 from nss_ros.fragment import Fragment, FragmentId, FragmentPair
 from nss_ros.multiway.pose_graph import PoseGraph
 
@@ -105,6 +105,10 @@ class Source(ABC):
     def fingerprint(self) -> dict[str, str]:
         """What tells whether it is the same as before."""
 
+    @abstractmethod
+    def sets(self) -> str:
+        """What tells whether its pairs are in the same sets of each split as before."""
+
 
 class DatasetSource(Source):
     """A dataset folder.
@@ -166,8 +170,12 @@ class DatasetSource(Source):
     def fingerprint(self) -> dict[str, str]:
         """Of its pairs and poses."""
         names = (PAIRS_NAME, POSES_NAME)
-        files = {name: _digest(self.path / name) for name in names}
+        files = {name: file_digest(self.path / name) for name in names}
         return files | {"seed": str(self.dataset.manifest.seed)}
+
+    def sets(self) -> str:
+        """Of seed and settings of the splits."""
+        return sets_digest(self.dataset)
 
 
 class BagSource(Source):
@@ -280,6 +288,10 @@ class BagSource(Source):
         """Of all its bytes."""
         return {"bag": bag_digest(self.path)[:16]}
 
+    def sets(self) -> str:
+        """Nothing: a bag has no splits."""
+        return ""
+
 
 def open_source(path: Path) -> Source:
     """The dataset or bag at a path.
@@ -314,10 +326,3 @@ def _only_of(graph: PoseGraph, pairs: PairTable) -> PoseGraph:
     wanted = set(_fragments_of(pairs))
     nodes = tuple(node for node in graph.nodes if node.id in wanted)
     return PoseGraph(nodes, graph.edges, graph.name)
-
-
-def _digest(path: Path) -> str:
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    except OSError as error:
-        raise InputError(f"Cannot read {path}: {error.strerror}.") from error

@@ -26,6 +26,7 @@ from nss_ros.cli.score import score
 from nss_ros.cli.settings import config, methods
 from nss_ros.cli.simulate import simulate
 from nss_ros.cli.stats import stats
+from nss_ros.cli.train import train
 from nss_ros.cli.view import view
 from nss_ros.errors import NssError
 
@@ -52,6 +53,7 @@ app.command("simulate")(simulate)
 app.command("pairs")(pairs)
 app.command("graphs")(graphs)
 app.command("stats")(stats)
+app.command("train")(train)
 app.command("picture")(picture)
 app.command("refine")(refine)
 app.command("align")(align)

@@ -44,7 +44,8 @@ def methods(
     for kind, names in found.items():
         print(f"{kind}: {', '.join(names)}")
     learned = [name for name in found["registration"] if _needs_weights(name)]
-    print(f"Only with a checkpoint as registration.NAME.weights: {', '.join(learned)}")
+    print(f"Only with weights as registration.NAME.weights: {', '.join(learned)}")
+    print("Their authors publish checkpoints, and 'nss train' makes weights from a dataset.")
 
 
 def _needs_weights(method: str) -> bool:

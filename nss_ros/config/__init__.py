@@ -36,6 +36,7 @@ from nss_ros.config.run import (
 from nss_ros.config.section import Section
 from nss_ros.config.simulation import RigConfig, SimulationConfig, ViewpointConfig
 from nss_ros.config.site import SiteConfig, WingConfig
+from nss_ros.config.training import TrainingConfig
 
 __all__ = [
     "AlignmentConfig",
@@ -66,6 +67,7 @@ __all__ = [
     "SimulationConfig",
     "SiteConfig",
     "SplitConfig",
+    "TrainingConfig",
     "ViewpointConfig",
     "WingConfig",
     "load_config",

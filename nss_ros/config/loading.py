@@ -19,6 +19,7 @@ from nss_ros.config.run import (
 )
 from nss_ros.config.section import Section, T
 from nss_ros.config.simulation import SimulationConfig
+from nss_ros.config.training import TrainingConfig
 from nss_ros.errors import ConfigError
 from nss_ros.files import write_file
 
@@ -27,7 +28,7 @@ _YAML_ERRORS = (yaml.YAMLError, ValueError, RecursionError)
 
 
 class NssConfig(Section):
-    """Everything: one section per node, the simulator's and the dataset's."""
+    """Everything: one section per node, the simulator's, the dataset's and that of training."""
 
     player: PlayerConfig = PlayerConfig()
     registration: RegistrationNodeConfig = RegistrationNodeConfig()
@@ -35,6 +36,7 @@ class NssConfig(Section):
     recorder: RecorderConfig = RecorderConfig()
     simulation: SimulationConfig = SimulationConfig()
     dataset: DatasetConfig = DatasetConfig()
+    training: TrainingConfig = TrainingConfig()
 
 
 def load_config(

@@ -101,6 +101,9 @@ class LearnedConfig(Section):
     device: Literal["auto", "cpu", "cuda"] = Field(
         "auto", description="Where the network runs; auto: on a GPU if there is one"
     )
+    voxel_size: Positive = Field(
+        0.05, description="Voxel size by which the weights were trained, metres"
+    )
     inlier_distance: Positive = Field(
         0.15, description="Correspondences closer than this agree, metres"
     )
@@ -114,10 +117,6 @@ class DescriptorConfig(LearnedConfig):
 
 class FcgfConfig(DescriptorConfig):
     """FCGF (Choy et al. 2019)."""
-
-    voxel_size: Positive = Field(
-        0.05, description="Voxel size by which the weights were trained, metres"
-    )
 
 
 class D3FeatConfig(DescriptorConfig):

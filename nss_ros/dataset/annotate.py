@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -181,6 +183,13 @@ def pair_sets(dataset: DatasetFolder, split: Split | None) -> dict[str, PairTabl
         return _imported_sets(dataset, split)
     config = validated(SplitConfig, made.get("splits", {}), MANIFEST_NAME)
     return split_pairs(pairs, split, config, int(made.get("seed", 0)))
+
+
+def sets_digest(dataset: DatasetFolder) -> str:
+    """What tells whether two times the same pairs of a dataset are in the same sets."""
+    made = dataset.manifest.steps.get("pairs", {})
+    decisive = {name: made.get(name) for name in ("imported", "seed", "splits")}
+    return hashlib.sha256(json.dumps(decisive, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _imported_sets(dataset: DatasetFolder, split: Split) -> dict[str, PairTable]:

@@ -69,9 +69,9 @@ def _outside_the_usual_order(
     if not others:
         return []
     return [
-        f"Area {name}: {len(others)} elements have no place in the usual order of works (nor do "
-        "walls of which nothing says whether they bear loads), and are there from the first stage "
-        f"on: {_classes(others)}; a plan of your own can stage them."
+        f"Area {name}: what has no place in the usual order of works (such as walls of which "
+        f"nothing says whether they bear loads) is there from the first stage on: "
+        f"{_classes(others)}; a plan of your own can stage it."
     ]
 
 

@@ -402,6 +402,11 @@ def _heights(name: str, area: IfcArea, storeys: Sequence[_Storey]) -> tuple[floa
     """Floor and ceiling of the area in the model, and the name of its storey."""
     if area.floor is not None:
         return area.floor, area.ceiling or area.floor + _STOREY_HEIGHT, area.storey
+    if not storeys:
+        raise InputError(
+            f"Area {name}: the model has no storey with anything in it: give files of a building, "
+            "or 'floor' and 'ceiling' of the area in a site file."
+        )
     matching = [storey for storey in storeys if fnmatch(storey.name, area.storey or "*")]
     if not matching:
         raise InputError(
@@ -426,7 +431,7 @@ def _other_storeys(name: str, chosen: str, storeys: Sequence[_Storey]) -> list[s
 
 
 def _names(storeys: Sequence[_Storey]) -> str:
-    names = dict.fromkeys(f"'{s.name}' at {s.elevation:g} m" for s in storeys)
+    names = dict.fromkeys(f"'{s.name}' at {round(s.elevation, 2) + 0.0:g} m" for s in storeys)
     return ", ".join(names) or "no storeys"
 
 

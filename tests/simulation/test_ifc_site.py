@@ -507,6 +507,13 @@ def test_a_model_without_storeys_begins_at_its_lowest_point(tmp_path, build):
     assert site.source["origin"][2] == pytest.approx(0.0)
 
 
+def test_a_model_without_anything_in_it_is_refused(tmp_path, build):
+    model = Model()
+    ifcopenshell.api.root.remove_product(model.file, product=model.storey)
+    with pytest.raises(InputError, match="no storey with anything in it: give files of a building"):
+        build(model.write(tmp_path / "bare.ifc"))
+
+
 def test_what_cannot_be_built_is_refused(tmp_path, build):
     name = Model().house().write(tmp_path / "house.ifc")
     with pytest.raises(InputError, match=r"no IFC file .*none\.ifc"):

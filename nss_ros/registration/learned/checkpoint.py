@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import Module
 
 from nss_ros.errors import MethodError
+from nss_ros.registration.learned.training_record import RECORD_KEY, TrainingRecord
 
 # What a pickled checkpoint may call. Everything else in it becomes a `_Placeholder`: the official
 # files hold settings and optimiser states of classes that a reader of weights does not need, and a
@@ -73,7 +74,7 @@ def read_weights(path: str, method: str, published: str) -> dict[str, Tensor]:
     if not path:
         raise MethodError(
             f"Method '{method}' needs trained weights: set {setting} to a checkpoint of its "
-            f"authors' ({published}) or of your own."
+            f"authors' ({published}), or to one that 'nss train' made."
         )
     return read_tensors(Path(path), setting)
 
@@ -154,6 +155,15 @@ def read_tensors(path: Path, setting: str) -> dict[str, Tensor]:
             f"{path} is not a checkpoint of PyTorch ({error}): set {setting} to one."
         ) from error
     return _state(content, path, setting)
+
+
+def read_record(path: Path) -> TrainingRecord | None:
+    """What a checkpoint of `nss train` tells of itself; None of any other file."""
+    try:
+        content = None if path.suffix == ".safetensors" else _unpickled(path)
+    except Exception:  # whoever reads the weights tells what is wrong
+        return None
+    return TrainingRecord.from_json(content.get(RECORD_KEY)) if isinstance(content, dict) else None
 
 
 def _unpickled(path: Path) -> Any:

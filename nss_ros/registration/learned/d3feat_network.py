@@ -34,11 +34,13 @@ class D3FeatNetwork(KernelPointNetwork):
         """Of the pyramid of one fragment: a row for each point of the finest level.
 
         Returns:
-            Unit descriptors (n, 32) and detection scores (n,), zero where nothing is detected.
+            Unit descriptors (n, 32) and detection scores (n,), zero where nothing is detected
+            but in training, which needs a gradient everywhere (section 3.3 of the paper).
         """
         ones = torch.ones_like(levels[0].points[:, :1])
         features = self.decoded(*self.encoded(ones, levels), levels)
-        return functional.normalize(features), detection_scores(features, levels[0].neighbours)
+        scores = detection_scores(features, levels[0].neighbours, everywhere=self.training)
+        return functional.normalize(features), scores
 
 
 class Bias(nn.Module):
@@ -53,7 +55,7 @@ class Bias(nn.Module):
         return features + self.bias
 
 
-def detection_scores(features: Tensor, neighbours: Tensor) -> Tensor:
+def detection_scores(features: Tensor, neighbours: Tensor, everywhere: bool = False) -> Tensor:
     """How distinctive each point is, (n,) (section 3.2 of the paper).
 
     A score is the largest, over the channels, of how much a feature exceeds its neighbourhood
@@ -63,17 +65,20 @@ def detection_scores(features: Tensor, neighbours: Tensor) -> Tensor:
     Args:
         features: (n, c), not normalised.
         neighbours: (n, h) int64, indices, the point itself among them; n where there is none.
+        everywhere: no point scores zero for not exceeding its neighbours, as in training.
     """
     features = features / (features.max() + 1e-6)
     shadowed = with_shadow(features)
     chunks = zip(torch.split(features, _CHUNK), torch.split(neighbours, _CHUNK), strict=True)
-    return torch.cat([_scores(each, shadowed[near]) for each, near in chunks])
+    return torch.cat([_scores(each, shadowed[near], everywhere) for each, near in chunks])
 
 
-def _scores(features: Tensor, about: Tensor) -> Tensor:
+def _scores(features: Tensor, about: Tensor, everywhere: bool) -> Tensor:
     """(n,) of features (n, c) and those of the neighbours (n, h, c)."""
     count = (about.sum(dim=2) != 0).sum(dim=1, keepdim=True).clamp(min=1)
     salient = functional.softplus(features - about.sum(dim=1) / count)
     dominant = features / (features.amax(dim=1, keepdim=True) + 1e-6)
-    detected = (features == about.amax(dim=1)).any(dim=1)
-    return (salient * dominant).amax(dim=1) * detected
+    scores = (salient * dominant).amax(dim=1)
+    if everywhere:
+        return scores
+    return scores * (features == about.amax(dim=1)).any(dim=1)

@@ -105,12 +105,14 @@ class Structure:
         return len(self.points)
 
     def rows(self, rows: slice) -> Tensor:
-        """Embeddings (r, n, channels) of some superpoints as the first of a pair; no gradients."""
+        """Embeddings (r, n, channels) of some superpoints as the first of a pair."""
         lines = self.points - self.points[rows, None]
         embedded = self.of_angle(self._angles(lines, self.nearest[rows, 0]))
+        # Where there are gradients, they need what a further angle would write over.
+        place = None if torch.is_grad_enabled() else embedded
         for neighbour in range(1, NEIGHBOURS):
             angles = self._angles(lines, self.nearest[rows, neighbour])
-            torch.maximum(embedded, self.of_angle(angles), out=embedded)
+            embedded = torch.maximum(embedded, self.of_angle(angles), out=place)
         return embedded.add_(self.of_distance(self.distances[rows]))
 
     @staticmethod

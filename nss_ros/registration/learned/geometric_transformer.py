@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
 
 from nss_ros.registration.learned.geometric_embedding import GeometricEmbedding, Structure
 
@@ -41,12 +42,18 @@ class RelativeAttention(nn.Module):
         weight = self.proj_p.weight.view(_HEADS, -1, features.shape[1])
         structural = (query @ weight).transpose(0, 1)
         step = max(1, _PAIRS[features.device.type] // len(structure))
-        gathered = []
-        for start in range(0, len(structure), step):
-            rows = slice(start, start + step)
+
+        def gathered(rows: slice) -> Tensor:
             scores = (structural[rows] @ structure.rows(rows).mT).transpose(0, 1)
-            gathered.append((scores + query[:, rows] @ key.mT).softmax(dim=-1) @ value)
-        return _joined(torch.cat(gathered, dim=1))
+            found: Tensor = (scores + query[:, rows] @ key.mT).softmax(dim=-1) @ value
+            return found
+
+        parts = [slice(start, start + step) for start in range(0, len(structure), step)]
+        if torch.is_grad_enabled():  # embeddings are made again, rather than kept, for gradients
+            return _joined(
+                torch.cat([checkpoint(gathered, rows, use_reentrant=False) for rows in parts], 1)
+            )
+        return _joined(torch.cat([gathered(rows) for rows in parts], dim=1))
 
 
 class CrossAttention(nn.Module):

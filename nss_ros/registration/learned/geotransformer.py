@@ -21,8 +21,8 @@ from nss_ros.registration.learned.pyramid import grid_subsampled, pyramid
 from nss_ros.registration.ransac import Matches
 
 _PUBLISHED = "https://github.com/qinzheng93/GeoTransformer/releases"
-# Most neighbours on each level, as the authors counted them on 3DMatch.
-_LIMITS = (38, 36, 36, 38)
+#: Most neighbours on each level, as the authors counted them on 3DMatch.
+LIMITS = (38, 36, 36, 38)
 # A match agrees when it ends closer than this, in voxels: 0.1 m.
 _ACCEPTANCE = 4
 
@@ -71,7 +71,7 @@ class GeoTransformer(LearnedMethod[GeoTransformerFeatures]):
             (target.cloud, source.cloud),
             self._voxel_size,
             RADIUS * self._voxel_size,
-            _LIMITS,
+            LIMITS,
             self._device,
         )
         if min(levels[-1].lengths) <= NEIGHBOURS:

@@ -108,20 +108,30 @@ class GeoTransformerNetwork(nn.Module):
         rows, columns = matched_superpoints(
             target.descriptors, source.descriptors, target.mask[:, 0], source.mask[:, 0]
         )
-        row_mask, column_mask = target.mask[rows], source.mask[columns]
-        row_points, column_points = target.patches[rows], source.patches[columns]
-        row_features = with_shadow(target.features)[row_points]
-        column_features = with_shadow(source.features)[column_points]
-        scores = row_features @ column_features.mT / math.sqrt(row_features.shape[-1])
-        assignment = self.optimal_transport(scores, row_mask, column_mask)[:, :-1, :-1].exp()
-        matched = matched_points(assignment, row_mask, column_mask)
+        assignment = self.assigned(target, source, rows, columns)[:, :-1, :-1].exp()
+        matched = matched_points(assignment, target.mask[rows], source.mask[columns])
         patch, row, column = matched.nonzero(as_tuple=True)
         return PointMatches(
-            target.points[row_points[patch, row]],
-            source.points[column_points[patch, column]],
+            target.points[target.patches[rows[patch], row]],
+            source.points[source.patches[columns[patch], column]],
             assignment[matched],
             patch,
         )
+
+    def assigned(self, target: Cloud, source: Cloud, rows: Tensor, columns: Tensor) -> Tensor:
+        """Logarithms of how the points of pairs of patches are assigned, (b, k + 1, k + 1).
+
+        Args:
+            target: with features.
+            source: with features.
+            rows: (b,) superpoints of the target.
+            columns: (b,) superpoints of the source.
+        """
+        row_features = with_shadow(target.features)[target.patches[rows]]
+        column_features = with_shadow(source.features)[source.patches[columns]]
+        scores = row_features @ column_features.mT / math.sqrt(row_features.shape[-1])
+        logarithms: Tensor = self.optimal_transport(scores, target.mask[rows], source.mask[columns])
+        return logarithms
 
 
 def _cloud(points: Tensor, features: Tensor, superpoints: Tensor, descriptors: Tensor) -> Cloud:

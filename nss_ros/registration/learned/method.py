@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -11,10 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from nss_ros.config import LearnedConfig, RegistrationConfig
+from nss_ros.errors import MethodError
 from nss_ros.fragment import Points
 from nss_ros.geometry import Transform
 from nss_ros.registration.correspondence import CorrespondenceMethod
 from nss_ros.registration.features import FragmentSurface
+from nss_ros.registration.learned.checkpoint import read_record
+from nss_ros.registration.learned.training_record import TrainingRecord
 from nss_ros.registration.matching import mutual_matches
 from nss_ros.registration.ransac import Matches, ransac
 
@@ -41,11 +45,19 @@ Features = TypeVar("Features", bound=FragmentSurface)
 
 
 class LearnedMethod(CorrespondenceMethod[Features]):
-    """A network describes points; RANSAC finds the transforms on which their matches agree."""
+    """A network describes points; RANSAC finds the transforms on which their matches agree.
+
+    Attributes:
+        training: what the weights were trained on, if `nss train` did; else None.
+
+    Raises:
+        MethodError: the weights were trained with another voxel size.
+    """
 
     def __init__(self, config: RegistrationConfig, settings: LearnedConfig) -> None:
         super().__init__(config)
         self.inlier_distance = settings.inlier_distance
+        self.training = _record(self.name, settings)
         if torch.get_num_threads() != 1:  # pairs are what is done in parallel
             torch.set_num_threads(1)
 
@@ -61,6 +73,16 @@ class LearnedMethod(CorrespondenceMethod[Features]):
             fpfh.hypotheses,
         )
         return [candidate.T_target_source for candidate in found]
+
+
+def _record(method: str, settings: LearnedConfig) -> TrainingRecord | None:
+    record = read_record(Path(settings.weights)) if settings.weights else None
+    if record is not None and record.method == method and record.voxel_size != settings.voxel_size:
+        raise MethodError(
+            f"{settings.weights} was trained with a voxel size of {record.voxel_size:g} m: set "
+            f"registration.{method}.voxel_size to it."
+        )
+    return record
 
 
 def matched(source: Described, target: Described) -> Matches:
