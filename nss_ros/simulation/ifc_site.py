@@ -36,6 +36,7 @@ from nss_ros.simulation.ifc_tessellation import (
     older_schema,
     open_ifc,
     tessellate,
+    unread_statements,
 )
 from nss_ros.simulation.mesh import Mesh, merge
 from nss_ros.simulation.site import Rectangle, Site
@@ -113,10 +114,16 @@ def build_ifc_site(
     """
     paths = _files(name, area.files, folder)
     storeys, parts, skipped = _load(paths, Path(area.cache) if area.cache else None, report)
+    if not parts:
+        reasons = f" ({' '.join(skipped).removesuffix('.')})" if skipped else ""
+        raise InputError(
+            f"Area {name}: no element of the files has a shape to scan{reasons}: give files of a "
+            "building."
+        )
     if area.schedule:
         parts = _scheduled(parts, read_schedule(folder / area.schedule))
     everything = [part.facts for part in parts]
-    if not (storeys or area.storey or not parts):
+    if not (storeys or area.storey):
         lowest = float(min(part.mesh.vertices[:, 2].min() for part in parts))
         storeys = [_Storey("", lowest, len(parts))]
     floor, ceiling, storey = _heights(name, area, storeys)
@@ -208,6 +215,11 @@ def _load(
             skipped.append(f"{path.name} is of the older schema {older}; it is read as IFC2X3.")
         if is_cut_short(path):
             skipped.append(f"{path.name} is cut short: what follows is missing.")
+        elif unread := unread_statements(path, model):
+            skipped.append(
+                f"{path.name} has a mistake, after which {unread:,} statements are not read: "
+                "export it anew."
+            )
         entities = _entities(model)
         made = tessellate(path, model, entities, cache_folder, report)
         own = list(_parts(path, entities, made))
@@ -402,11 +414,6 @@ def _heights(name: str, area: IfcArea, storeys: Sequence[_Storey]) -> tuple[floa
     """Floor and ceiling of the area in the model, and the name of its storey."""
     if area.floor is not None:
         return area.floor, area.ceiling or area.floor + _STOREY_HEIGHT, area.storey
-    if not storeys:
-        raise InputError(
-            f"Area {name}: the model has no storey with anything in it: give files of a building, "
-            "or 'floor' and 'ceiling' of the area in a site file."
-        )
     matching = [storey for storey in storeys if fnmatch(storey.name, area.storey or "*")]
     if not matching:
         raise InputError(

@@ -28,6 +28,7 @@ _LAYOUT = 1  # of the cache files
 # IFC 2x of 2000 and 2x2 of 2003; the header of a file is at its beginning.
 _OLDER_SCHEMA = re.compile(rb"FILE_SCHEMA\s*\(\s*\(\s*'(IFC2X2?(?:_\w+)?)'", re.IGNORECASE)
 _HEADER = 20_000
+_STATEMENT = re.compile(rb"^\s*#\d+\s*=", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +135,12 @@ def is_cut_short(path: Path) -> bool:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - 256))
         return b"END-ISO-10303-21" not in file.read()
+
+
+def unread_statements(path: Path, model: Any) -> int:
+    """How many statements of a file its model lacks: ifcopenshell stops at a mistake in silence."""
+    written = len(_STATEMENT.findall(path.read_bytes()))
+    return max(0, written - sum(1 for _ in model))
 
 
 def cache_folder() -> Path:

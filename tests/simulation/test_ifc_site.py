@@ -508,10 +508,29 @@ def test_a_model_without_storeys_begins_at_its_lowest_point(tmp_path, build):
 
 
 def test_a_model_without_anything_in_it_is_refused(tmp_path, build):
-    model = Model()
-    ifcopenshell.api.root.remove_product(model.file, product=model.storey)
-    with pytest.raises(InputError, match="no storey with anything in it: give files of a building"):
-        build(model.write(tmp_path / "bare.ifc"))
+    with pytest.raises(InputError, match="has a shape to scan: give files of a building"):
+        build(Model().write(tmp_path / "bare.ifc"))
+
+
+def test_a_mistake_in_a_file_is_told(tmp_path, build):
+    path = tmp_path / "house.ifc"
+    Model().house().write(path)
+    lines = path.read_text().splitlines()
+    statements = [i for i, line in enumerate(lines) if line.startswith("#")]
+    assert not build("house.ifc").source["skipped"]
+
+    def spoil(statement):
+        broken = [*lines]
+        broken[statements[statement]] += " *//*"
+        path.write_text("\n".join(broken))
+
+    spoil(-4)
+    (sentence,) = build("house.ifc").source["skipped"]
+    assert sentence.startswith("house.ifc has a mistake, after which 3 statements are not read")
+    spoil(3)
+    left = len(statements) - 4
+    with pytest.raises(InputError, match=rf"shape to scan \(house\.ifc .* after which {left:,} st"):
+        build("house.ifc")
 
 
 def test_what_cannot_be_built_is_refused(tmp_path, build):
