@@ -1,1 +1,1 @@
-"""The learned baselines of the NSS paper: networks that load the checkpoints of their authors."""
+"""The learned baselines of the NSS paper: with checkpoints of their authors, or of `nss train`."""
