@@ -101,6 +101,7 @@ def measure(arguments: argparse.Namespace, sample: PairSample) -> list[VariantRe
 
     with TemporaryDirectory() as weights, progress_bar(quiet=arguments.json) as bar:
         variants = list(chosen_variants(arguments, Path(weights)))
+        refuse_learned(arguments, variants)
         task = bar.add_task("variants", total=len(variants))
         return list(
             run_variants(
@@ -170,6 +171,20 @@ def chosen_variants(arguments: argparse.Namespace, weights: Path) -> Iterator[Va
             yield from (replace(each, common=common) for each in parts_taken_away(weights))
         for perturbation in perturbations:
             yield Variant(method, perturbation=perturbation, common=common)
+
+
+def refuse_learned(arguments: argparse.Namespace, variants: Sequence[Variant]) -> None:
+    """End where weights may have learned from the pairs that are measured."""
+    from nss_ros.batch.learned_from import learned_from
+    from nss_ros.batch.run import registration_config
+    from nss_ros.batch.source import BatchSplit, DatasetSource
+    from nss_ros.dataset.folder import DatasetFolder
+    from nss_ros.registration.method import load_method
+
+    source, splits = DatasetSource(DatasetFolder(arguments.dataset)), [BatchSplit(arguments.split)]
+    for variant in variants:
+        method = load_method(registration_config(variant.config(), variant.method))
+        learned_from(variant.method, method, source, splits)
 
 
 def usable_methods(common: tuple[str, ...]) -> list[str]:

@@ -17,6 +17,7 @@ from typing import Any
 from nss_ros.bag_reader import bag_digest, read_metadata
 from nss_ros.batch.folder import ResultsFolder
 from nss_ros.batch.journal import Entry, Journal
+from nss_ros.batch.learned_from import learned_from
 from nss_ros.batch.mapping import AreaTask, area_map, joined_maps
 from nss_ros.batch.plan import Plan, planned
 from nss_ros.batch.registering import Report, Workforce, register_missing
@@ -25,13 +26,10 @@ from nss_ros.batch.source import BatchSplit, PairChoice, Source
 from nss_ros.batch.timing import Timing, timing_of
 from nss_ros.benchmark.evaluation import SPLIT_KEY, TRAINING_KEY
 from nss_ros.config import MultiwayConfig, NssConfig, RegistrationConfig
-from nss_ros.dataset.folder import POSES_NAME
-from nss_ros.errors import InputError
 from nss_ros.files import file_digest
 from nss_ros.multiway.pose_graph import PoseGraph
 from nss_ros.multiway.synchronizer import find_synchronizer, load_synchronizer
 from nss_ros.parallel import run
-from nss_ros.registration.learned.training_record import TrainingRecord
 from nss_ros.registration.method import Method, find_method, load_method
 from nss_ros.versions import run_versions
 
@@ -153,23 +151,8 @@ def _training(name: str, method: Method, source: Source, choice: Choice) -> str:
     Raises:
         InputError: pairs that are registered are among those that it learned from.
     """
-    record = getattr(method, "training", None)
-    if not isinstance(record, TrainingRecord):
-        return choice.training
-    if source.fingerprint().get(POSES_NAME) == record.poses:
-        learned = f"Method '{name}' has learned from the split '{record.split}' of {source.path}"
-        if source.sets() != record.sets:
-            raise InputError(
-                f"{learned}, whose splits were made anew since, so test pairs may be among those "
-                "that it has learned: train again, or give other weights."
-            )
-        for split in choice.splits:
-            if split.value != record.split:
-                raise InputError(
-                    f"{learned}, so pairs of the split '{split}' may be among those that it has "
-                    f"learned: give --split {record.split}, or other weights."
-                )
-    return choice.training or record.stages
+    record = learned_from(name, method, source, choice.splits)
+    return choice.training or (record.stages if record else "")
 
 
 def _of_method(report: Report, method: str) -> Report:
